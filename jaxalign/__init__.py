@@ -1,0 +1,1 @@
+"""Initial alignment of strapdown inertial navigation systems in JAX."""

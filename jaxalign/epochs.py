@@ -1,0 +1,187 @@
+"""What the recursions consume: one increment and one aid velocity per epoch, on the device."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxalign.earth import Site
+from jaxalign.errors import UserError
+from jaxalign.log import Log
+from jaxalign.preintegrate import Increment, Scheme, preintegrate
+from jaxalign.vector import Quat, Vec3
+
+__all__ = ["Aid", "Epoch", "Epochs", "epochs_from_arrays", "epochs_from_log", "require_x64"]
+
+Aid = Literal["static", "body", "nav"]
+
+
+class Epoch(eqx.Module):
+    """One row: the interval up to the epoch and the aid at the epoch.
+
+    Attributes:
+        rotation: from b now to b at the previous epoch.
+        dvel: integral of the specific force over the interval, m/s, in b at the previous epoch.
+        dt: length of the interval, s; zero at the first epoch.
+        velocity: of the aid, m/s, in b or n; any finite number where not ``valid``.
+        valid: whether the aid has a sample here.
+    """
+
+    rotation: Quat
+    dvel: Vec3
+    dt: Float[Array, "*epochs"]
+    velocity: Vec3
+    valid: Bool[Array, "*epochs"]
+
+    @classmethod
+    def of(cls, rotation, dvel, dt, velocity) -> Epoch:
+        """Build from arrays: rotation (..., 4), dvel (..., 3), dt (...), velocity (..., 3) with NaN where missing."""
+        safe, valid = _known(jnp.asarray(velocity, jnp.float64))
+        return cls(Quat.of(rotation), Vec3.of(dvel), jnp.asarray(dt, jnp.float64), safe, valid)
+
+    @classmethod
+    def start(cls, velocity) -> Epoch:
+        """The first epoch: no interval before it, the aid's velocity (3,), NaN if missing."""
+        return cls.of(jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(3), 0.0, velocity)
+
+
+def _known(velocity) -> tuple[Vec3, Bool[Array, "*epochs"]]:
+    """NaN means missing, at this boundary only: inside, a mask and a finite number."""
+    valid = jnp.all(jnp.isfinite(velocity), axis=-1)
+    return Vec3.of(jnp.where(valid[..., None], velocity, 0.0)), valid
+
+
+class Epochs(eqx.Module):
+    """A log, preintegrated: M+1 rows, the first without an interval. A pytree: batch it, vmap over it.
+
+    Attributes:
+        rows: an :class:`Epoch` with leaves of shape (M+1,).
+        site: latitude, longitude, height of the start.
+        aid_sd: standard deviation of the aid's white noise per axis, m/s.
+        aid: "static", "body" or "nav" (static).
+        interval: nominal length of an interval, s (static: windows in seconds become counts by it).
+    """
+
+    rows: Epoch
+    site: Site
+    aid_sd: Float[Array, ""]
+    aid: Aid = eqx.field(static=True)
+    interval: float = eqx.field(static=True)
+
+    def __len__(self) -> int:
+        return self.rows.dt.shape[-1]
+
+
+def require_x64(*trees) -> None:
+    """Refuse float32: alignment senses 7e-5 rad/s, and float32 integration alone loses degrees of heading.
+
+    Raises:
+        UserError: if JAX runs in float32 or an array of the trees is float32; the message says how to mend it.
+    """
+    if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        raise UserError(
+            "JAX runs in float32 here, in which alignment loses degrees of heading: call "
+            'jax.config.update("jax_enable_x64", True) before building anything, or set JAX_ENABLE_X64=1'
+        )
+    for path, leaf in (item for tree in trees for item in jax.tree_util.tree_leaves_with_path(tree)):
+        dtype = getattr(leaf, "dtype", None)
+        if dtype is not None and jnp.issubdtype(dtype, jnp.floating) and dtype != jnp.float64:
+            raise UserError(
+                f"{jax.tree_util.keystr(path) or 'the input'} is {dtype}: alignment needs float64; enable x64 "
+                '(jax.config.update("jax_enable_x64", True)) before building it and pass float64 arrays'
+            )
+
+
+@partial(jax.jit, static_argnames=("every", "scheme"))
+def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
+    moved = preintegrate(dtheta, dvel, every, scheme)
+    still = Increment(Quat.identity(), Vec3.zero())
+    rows = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), still, moved)
+    steps = jnp.concatenate([jnp.zeros(1), jnp.full(dtheta.shape[0] // every, every * dt)])
+    safe, valid = _known(velocity)
+    return Epoch(rows.rotation, rows.dvel, steps, safe, valid)
+
+
+def epochs_from_arrays(
+    dtheta: Float[Array, "samples 3"],
+    dvel: Float[Array, "samples 3"],
+    velocity: Float[Array, "epochs 3"] | None,
+    *,
+    dt: float,
+    every: int,
+    site: Site,
+    aid: Aid,
+    aid_sd: float = 1.0,
+    scheme: Scheme = "pairs",
+) -> Epochs:
+    """Preintegrate arrays; pure and differentiable in all of them (for logs use :func:`epochs_from_log`).
+
+    Args:
+        dtheta: rotation increments, rad.
+        dvel: velocity increments, m/s.
+        velocity: of the aid at the epochs, m/s, NaN where missing; (samples // every + 1, 3); None: at rest.
+        dt: sampling interval, s.
+        every: samples per epoch.
+        site: where.
+        aid: what ``velocity`` is.
+        aid_sd: noise of the aid, m/s.
+        scheme: of the preintegration.
+    """
+    intervals = dtheta.shape[0] // every
+    if velocity is None:
+        velocity = jnp.zeros((intervals + 1, 3))
+    if velocity.shape[0] != intervals + 1:
+        raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {velocity.shape[0]}")
+    rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
+    return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, float(every * dt))
+
+
+def epochs_from_log(
+    log: Log, *, interval_samples: int | None = None, scheme: Scheme = "pairs", static: bool = False
+) -> Epochs:
+    """Preintegrate a log.
+
+    Args:
+        log: the checked log.
+        interval_samples: IMU samples per epoch; by default the log's own. With a velocity aid it must divide
+            the aid's interval: the epochs between two fixes have no aid.
+        scheme: of the preintegration.
+        static: take the vehicle as standing, whatever aid the log has.
+
+    Raises:
+        UserError: float32, or an ``interval_samples`` that does not fit.
+    """
+    require_x64()
+    every = interval_samples or log.aid_every
+    if every < 1 or len(log.dtheta) // every < 1:
+        raise UserError(f"interval_samples = {every}: must be between 1 and the {len(log.dtheta)} samples of {log.name}")
+    if static or log.velocity is None:
+        velocity, aid = None, "static"
+    else:
+        velocity, aid = log.velocity, log.aid
+        if log.aid_every % every:
+            raise UserError(
+                f"interval_samples = {every} does not divide the {log.aid_every} IMU samples between two fixes of {log.name}"
+            )
+        if every != log.aid_every:
+            ratio = log.aid_every // every
+            velocity = np.full((log.epochs * ratio + 1, 3), np.nan)
+            velocity[::ratio] = log.velocity
+    used = (len(log.dtheta) if velocity is None else log.epochs * log.aid_every) // every * every
+    return epochs_from_arrays(
+        log.dtheta[:used],
+        log.dvel[:used],
+        velocity,
+        dt=log.dt,
+        every=every,
+        site=Site(log.lat, log.lon, log.h),
+        aid=aid,  # type: ignore[arg-type]
+        aid_sd=1.0 if log.aid_sd is None else log.aid_sd,
+        scheme=scheme,
+    )

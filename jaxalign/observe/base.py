@@ -1,0 +1,87 @@
+"""What an observation is: the pair of vectors, the context of a step, and the contract of the slot."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxalign.earth import Site
+from jaxalign.epochs import Epoch
+from jaxalign.vector import Quat, Vec3
+
+__all__ = ["AbstractObserve", "Context", "Pair"]
+
+
+class Context(eqx.Module):
+    """All that a slot may look back at.
+
+    Attributes:
+        index: epoch k, from 0.
+        time: s since epoch 0.
+        attitude: q_n0b0 of the last read-out (the identity until ``defined``).
+        defined: whether that attitude is unique (relative eigengap above rounding).
+        sd: standard deviation of the aid's white noise per axis, m/s.
+    """
+
+    index: Int[Array, ""]
+    time: Float[Array, ""]
+    attitude: Quat
+    defined: Bool[Array, ""]
+    sd: Float[Array, ""]
+
+
+class Pair(eqx.Module):
+    """Two views of one vector: ``C_n0b0 beta = alpha``, both in m/s.
+
+    Attributes:
+        alpha: in n0.
+        beta: in b0, complete: with the Coriolis term of the latest attitude.
+        valid: whether to use it; where False the vectors are finite but stale.
+        clean: of the two, the one without the aid's noise, integrated from the start whatever the window; its
+            spread of directions says when the heading becomes observable.
+        open_beta: beta without the term that depends on the attitude sought.
+        moment: P with ``beta = open_beta + (C_b0n0 w_ie) x P``, m; None where beta does not depend on the
+            attitude. Estimators use it to correct the whole past at once.
+        w_ie: Earth rate in n0, rad/s.
+    """
+
+    alpha: Vec3
+    beta: Vec3
+    valid: Bool[Array, ""]
+    clean: Vec3
+    open_beta: Vec3
+    moment: Vec3 | None
+    w_ie: Vec3
+
+    @property
+    def residual(self) -> Any:
+        """A function of q_n0b0 giving ``alpha - C_n0b0 beta`` (m/s, in n0)."""
+        return lambda attitude: self.alpha - attitude.rotate(self.beta)
+
+
+class AbstractObserve(eqx.Module):
+    """Slot: epochs to vector pairs. The state must carry ``q_b0b`` and ``q_n0n`` (b and n since the start)."""
+
+    aid: ClassVar[str]
+    interval_samples: eqx.AbstractVar[int | None]
+
+    @property
+    def coupled(self) -> bool:
+        """Whether the pairs carry a ``moment``: beta depends on the attitude sought."""
+        return False
+
+    @abstractmethod
+    def init(self, site: Site, interval: float) -> Any:
+        """State before the first epoch.
+
+        Args:
+            site: where the vehicle is switched on.
+            interval: nominal seconds between epochs (a Python float: it sets the size of window buffers).
+        """
+
+    @abstractmethod
+    def step(self, state: Any, context: Context, epoch: Epoch) -> tuple[Any, Pair]:
+        """Consume one epoch."""

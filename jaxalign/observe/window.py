@@ -1,0 +1,102 @@
+"""Differences of running sums: since the start, over a sliding window, or since the previous sample."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxalign.vector import Vec3, where
+
+__all__ = ["Previous", "Sliding", "Sums", "Whole", "window"]
+
+
+class Sums(eqx.Module):
+    """Running sums whose differences are vector pairs: see :class:`jaxalign.observe.base.Pair`."""
+
+    alpha: Vec3
+    beta: Vec3
+    moment: Vec3 | None
+
+    @classmethod
+    def zero(cls, moment: bool) -> Sums:
+        """All zero; without ``moment`` where no term depends on the attitude."""
+        return cls(Vec3.zero(), Vec3.zero(), Vec3.zero() if moment else None)
+
+    def __sub__(self, other: Sums) -> Sums:
+        return jax.tree.map(lambda a, b: a - b, self, other)
+
+
+class Whole(eqx.Module):
+    """Since the first epoch with a valid aid."""
+
+    start: Sums
+    started: Bool[Array, ""]
+
+    def push(self, index: Int[Array, ""], sums: Sums, valid: Any) -> tuple[Whole, Sums, Any, Sums]:
+        """Take the sums of an epoch; return (state, difference, usable, difference since the start)."""
+        start = where(self.started, self.start, sums)
+        since = sums - start
+        return Whole(start, self.started | valid), since, valid, since
+
+
+class Previous(eqx.Module):
+    """Since the previous valid epoch: instantaneous vectors."""
+
+    whole: Whole
+    last: Sums
+
+    @property
+    def started(self) -> Any:
+        """Whether there has been a valid epoch."""
+        return self.whole.started
+
+    def push(self, index: Int[Array, ""], sums: Sums, valid: Any) -> tuple[Previous, Sums, Any, Sums]:
+        """As :meth:`Whole.push`; the first valid epoch gives no vector."""
+        usable = valid & self.whole.started
+        whole, _, _, since = self.whole.push(index, sums, valid)
+        return Previous(whole, where(valid, sums, self.last)), sums - self.last, usable, since
+
+
+class Sliding(eqx.Module):
+    """Over the last L epochs (fewer at the beginning): a ring buffer of the sums."""
+
+    whole: Whole
+    history: Sums
+    known: Bool[Array, " window"]
+
+    @property
+    def started(self) -> Any:
+        """Whether there has been a valid epoch."""
+        return self.whole.started
+
+    def push(self, index: Int[Array, ""], sums: Sums, valid: Any) -> tuple[Sliding, Sums, Any, Sums]:
+        """As :meth:`Whole.push`; a vector needs both ends of its window."""
+        length = self.known.shape[-1]
+        slot = index % length
+        full = index >= length
+        whole, _, _, since = self.whole.push(index, sums, valid)
+        old = jax.tree.map(lambda buffer: buffer[slot], self.history)
+        difference = sums - where(full, old, whole.start)
+        usable = valid & jnp.where(full, self.known[slot], True)
+        history = jax.tree.map(lambda buffer, x: buffer.at[slot].set(x), self.history, sums)
+        return Sliding(whole, history, self.known.at[slot].set(valid)), difference, usable, since
+
+
+def window(seconds: float, interval: float, sums: Sums) -> Whole | Sliding:
+    """The state for a window of so many seconds, 0 meaning since the start.
+
+    Args:
+        seconds: length; rounded to whole epochs, at least one.
+        interval: seconds between epochs.
+        sums: all-zero sums of the right structure.
+    """
+    whole = Whole(sums, jnp.zeros((), bool))
+    if seconds == 0:
+        return whole
+    length = max(1, round(seconds / interval))
+    buffers = jax.tree.map(lambda x: jnp.zeros(length, x.dtype), sums)
+    return Sliding(whole, buffers, jnp.zeros(length, bool))

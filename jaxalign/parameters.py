@@ -1,0 +1,116 @@
+"""Tunable numbers of a method: array leaves that carry their unit and bounds, read and set by path."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxalign.errors import UserError
+
+__all__ = ["as_float64", "parameters", "tunable", "with_parameters"]
+
+T = TypeVar("T")
+
+
+def as_float64(value: Any) -> jax.Array:
+    """A float64 array leaf (strongly typed: a weak type would compile once more)."""
+    return jnp.asarray(np.asarray(value, np.float64), jnp.float64)
+
+
+def tunable(default: float, *, unit: str, bounds: tuple[float, float]) -> Any:
+    """A field that is a number to tune: converted to an array leaf, so that it is traced and differentiated.
+
+    Args:
+        default: the value where none is given.
+        unit: for people ("1", "m/s", "s", ...).
+        bounds: the sensible range; setting a value outside is refused by :func:`with_parameters`.
+    """
+    return eqx.field(converter=as_float64, default=default, metadata={"unit": unit, "bounds": bounds})
+
+
+def _fields(module: Any, prefix: str = "") -> Iterator[tuple[str, Any, dataclasses.Field]]:
+    """Every settable field of a module and its slots: (path, value, field)."""
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name)
+        path = f"{prefix}{field.name}"
+        if isinstance(value, eqx.Module):
+            yield from _fields(value, f"{path}.")
+        else:
+            yield path, value, field
+
+
+def parameters(method: Any) -> dict[str, Any]:
+    """Paths and values of everything that can be set in a method, as plain Python values (JSON-ready)."""
+    out = {}
+    for path, value, _ in _fields(method):
+        out[path] = np.asarray(value).tolist() if isinstance(value, jax.Array | np.ndarray) else value
+    return out
+
+
+def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:
+    """Turn a value (a string from the command line, or a Python value) into what the field holds."""
+    value = text
+    if isinstance(text, str):
+        try:
+            value = json.loads(text.lower() if text.lower() in ("true", "false", "null", "none") else text)
+        except json.JSONDecodeError:
+            value = None if text.lower() == "none" else text
+    if isinstance(old, bool):
+        if not isinstance(value, bool):
+            raise UserError(f"{path} = {text!r}: must be true or false")
+        return value
+    if isinstance(old, jax.Array):
+        if isinstance(value, bool | str) or value is None or np.shape(value) != old.shape:
+            raise UserError(f"{path} = {text!r}: must be a number" + (f" (array of shape {old.shape})" if old.ndim else ""))
+        low, high = field.metadata.get("bounds", (-np.inf, np.inf))
+        if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+            raise UserError(f"{path} = {text!r}: outside its bounds {low:g} .. {high:g} {field.metadata.get('unit', '')}".rstrip())
+        return as_float64(value)
+    if isinstance(old, str):
+        return str(value)
+    wanted = int if isinstance(old, int) or field.metadata.get("integer") else float
+    if value is None and field.metadata.get("optional"):
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or (wanted is int and value != int(value)):
+        raise UserError(f"{path} = {text!r}: must be {'a whole number' if wanted is int else 'a number'}")
+    return wanted(value)
+
+
+def with_parameters(method: T, values: Mapping[str, Any]) -> T:
+    """A copy of a method with some fields set, by path ("weight.gamma", "observe.window", ...).
+
+    Args:
+        method: an aligner or any nest of modules.
+        values: path -> value; strings are parsed as on the command line.
+
+    Raises:
+        UserError: unknown path (the nearest ones are offered), wrong type, or a number outside its bounds.
+    """
+    known = {path: (value, field) for path, value, field in _fields(method)}
+    for path, text in values.items():
+        if path not in known:
+            near = difflib.get_close_matches(path, known, n=3, cutoff=0.4) or sorted(known)
+            raise UserError(f"no parameter {path!r} in this method: did you mean {', '.join(near)}?")
+        old, field = known[path]
+        method = _replace(method, path.split("."), _parse(path, text, old, field))
+    return method
+
+
+def _replace(module: Any, names: list[str], value: Any) -> Any:
+    """Rebuild the modules along a path, so that their own checks run on the new value."""
+    head, *rest = names
+    new = _replace(getattr(module, head), rest, value) if rest else value
+    try:
+        return dataclasses.replace(module, **{head: new})
+    except UserError:
+        raise
+    except ValueError as error:
+        raise UserError(str(error)) from error

@@ -1,0 +1,148 @@
+"""IMU samples of an interval to one rotation and one velocity increment.
+
+A map without carry: the coning and sculling terms and the exponential of every sample (or pair of samples) are
+computed for the whole log at once; only their composition is sequential, over the samples of ONE interval, with
+all intervals (and, under ``vmap``, all runs) side by side.
+
+Schemes, with th, dv the increments of a sample and V(th) = I + (1 - cos|th|)/|th|^2 [th x]
++ (|th| - sin|th|)/|th|^3 [th x]^2:
+
+``pairs`` (default)
+    two-sample coning and sculling, phi = th1 + th2 + 2/3 th1 x th2 and
+    V(th1 + th2)(dv1 + dv2) + 2/3 (th1 x dv2 + dv1 x th2), exact to third order in the sampling interval; an odd
+    last sample of an interval is taken with look-back. Closes to 6e-8 deg and 2e-7 m/s over 300 s.
+``lookback``
+    one sample and its predecessor: phi = th + th_ x th / 12, V(th) dv + (th_ x dv + dv_ x th) / 12.
+``interval``
+    the two-sample formula over the two halves of the whole interval, with the coning term (Wu 2013).
+``interval_plain``
+    Xu 2020 (15), (17) as printed: rotation as the plain sum, velocity to first order. For the record: a 10 deg
+    sway at 0.15 Hz makes it drift by 35 deg in 300 s at 1 s intervals.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxalign.vector import Quat, Vec3, sinc_like
+
+__all__ = ["Increment", "Scheme", "preintegrate"]
+
+Scheme = Literal["pairs", "lookback", "interval", "interval_plain"]
+
+
+class Increment(eqx.Module):
+    """Motion over an interval, in components (each of shape (intervals,) or a scalar).
+
+    Attributes:
+        rotation: quaternion from b at the end to b at the start of the interval.
+        dvel: integral of the specific force over the interval, m/s, in b at its start.
+    """
+
+    rotation: Quat
+    dvel: Vec3
+
+    def __matmul__(self, later: Increment) -> Increment:
+        """This interval followed by a later one."""
+        return Increment(self.rotation * later.rotation, self.dvel + self.rotation.rotate(later.dvel))
+
+
+def _rotate_mean(rotvec: Vec3, v: Vec3) -> Vec3:
+    """``V(rotvec) v``: the mean of C(s) over a constant-rate rotation, applied to a vector."""
+    angle2 = rotvec.norm2()
+    first = sinc_like(angle2, lambda a: (1 - jnp.cos(a)) / a**2, (1 / 2, -1 / 24, 1 / 720))
+    second = sinc_like(angle2, lambda a: (a - jnp.sin(a)) / a**3, (1 / 6, -1 / 120, 1 / 5040))
+    turned = rotvec.cross(v)
+    return v + turned * first + rotvec.cross(turned) * second
+
+
+def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
+    total = th1 + th2
+    dvel = _rotate_mean(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
+    return Increment(Quat.exp(total + th1.cross(th2) * (2 / 3)), dvel)
+
+
+def _plain_pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
+    """Xu 2020 (15) and (17): no coning term, rotation of the velocity increment to first order."""
+    th, dv = th1 + th2, dv1 + dv2
+    return Increment(Quat.exp(th), dv + th.cross(dv) * 0.5 + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3))
+
+
+def _single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
+    th_, dv_ = before
+    dvel = _rotate_mean(th, dv) + (th_.cross(dv) + dv_.cross(th)) * (1 / 12)
+    return Increment(Quat.exp(th + th_.cross(th) * (1 / 12)), dvel)
+
+
+def _compose(samples: Increment) -> Increment:
+    """Compose along the first axis; the others are lanes."""
+    lanes = samples.rotation.w.shape[1:]
+    one, zero = jnp.ones(lanes, samples.rotation.w.dtype), jnp.zeros(lanes, samples.rotation.w.dtype)
+    start = Increment(Quat(one, zero, zero, zero), Vec3(zero, zero, zero))
+    total, _ = jax.lax.scan(lambda carry, x: (carry @ x, None), start, samples)
+    return Increment(total.rotation.unit(), total.dvel)
+
+
+def preintegrate(
+    dtheta: Float[Array, "samples 3"],
+    dvel: Float[Array, "samples 3"],
+    every: int,
+    scheme: Scheme = "pairs",
+) -> Increment:
+    """Integrate the IMU over consecutive intervals of ``every`` samples; pure, differentiable, vmappable.
+
+    Args:
+        dtheta: rotation increments, rad.
+        dvel: velocity increments, m/s.
+        every: samples per interval (static); a remainder at the end is left out.
+        scheme: see the module's docstring (static).
+
+    Returns:
+        Increments with components of shape (samples // every,).
+
+    Source: Xu 2017 (002) front end as repaired in its verification; Xu 2020 (000) (15)-(18) for the plain form.
+    """
+    if scheme not in get_args(Scheme):
+        raise ValueError(f"unknown scheme {scheme!r}: one of {', '.join(get_args(Scheme))}")
+    intervals = dtheta.shape[0] // every
+    used = intervals * every
+
+    def lanes(x: Any) -> Any:  # (samples, 3) -> components (every, intervals): the intervals are contiguous
+        return Vec3.of(jnp.asarray(x)[:used].reshape(intervals, every, 3).swapaxes(0, 1))
+
+    th, dv = lanes(dtheta), lanes(dvel)
+
+    def take(start: int, stop: int, step: int = 1) -> tuple[Vec3, Vec3]:
+        return jax.tree.map(lambda x: x[start:stop:step], (th, dv))
+
+    def lookback() -> tuple[Vec3, Vec3]:  # the sample before, across the borders of the intervals
+        def shift(x: Any) -> Any:
+            flat = x.swapaxes(0, 1).reshape(-1)
+            flat = jnp.concatenate([jnp.zeros_like(flat[:1]), flat[:-1]])
+            return flat.reshape(intervals, every).swapaxes(0, 1)
+
+        return jax.tree.map(shift, (th, dv))
+
+    if scheme == "lookback" or (scheme == "pairs" and every == 1):
+        return _compose(_single(lookback(), th, dv))
+    if scheme == "pairs":
+        even = every // 2 * 2
+        total = _compose(_pair(*take(0, even, 2), *take(1, even, 2)))
+        if even < every:
+            before, last = take(every - 2, every - 1), take(every - 1, every)
+            total = jax.tree.map(lambda x: x[None], total)
+            total = jax.tree.map(lambda x: x[0], total @ _single(before, *last))
+        return total
+    half = every // 2
+    if 2 * half != every:
+        raise ValueError(f"scheme {scheme!r} halves the interval: {every} samples cannot be halved")
+    first, second = (
+        jax.tree.map(lambda x: x.sum(axis=0), take(a, b)) for a, b in ((0, half), (half, every))
+    )
+    whole = (_pair if scheme == "interval" else _plain_pair)(*first, *second)
+    return Increment(whole.rotation.unit(), whole.dvel)

@@ -1,0 +1,104 @@
+"""The result of an alignment."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxalign.rotation import dcm_from_quat, euler_from_quat, heading_deg
+
+__all__ = ["Solution", "Status"]
+
+
+class Status(IntFlag):
+    """Bits of ``Solution.status``; 0 means that all is well."""
+
+    UNDEFINED = 1
+    """No unique attitude yet: fewer than two directions so far."""
+    HEADING_UNOBSERVABLE = 2
+    """The directions have not opened beyond the noise of the aid: the heading means little."""
+    AID_MISSING = 4
+    """No aid sample at this epoch: the attitude is that of the samples before it."""
+    NON_FINITE = 8
+    """The sums hold a NaN or an infinity; nothing after this epoch is to be used."""
+
+
+class Solution(eqx.Module):
+    """Attitudes at the read-out epochs, and how far to trust them. A pytree; leaves may have leading batch axes.
+
+    Inside traced code every number is finite: where there is no attitude yet, ``q_nb`` is the identity
+    and ``defined`` is False, so that a masked loss has a clean gradient. The properties ``C_nb``, ``euler_deg``, ``heading_deg`` and
+    :meth:`to_numpy` are for people, on the host: NaN where there is no attitude.
+
+    Attributes:
+        time: (K,) s since epoch 0.
+        q_nb: (K, 4) attitude, scalar part >= 0.
+        defined: (K,) whether the attitude is unique.
+        observable: (K,) whether the directions have opened beyond the aid's noise: the heading is worth reading.
+            With s the eigenvalues of ``sum a a^T`` over the k noise-free vectors a: 4 (s2 + s3) / (8 k sd^2) > 1.
+        eigengap: (K,) relative gap of the 4x4 problem (0 where the method has none); it measures aid noise early on.
+        residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0.
+        weight: (K,) of that pair; 0 where the aid is missing.
+        alpha: (K, 3) the vector in n0, m/s.
+        beta: (K, 3) the vector in b0, m/s, after reconstruction.
+        sd: (K, 3) standard deviations of the error in n (east, north, up), rad, where the method knows them; else None.
+        status: (K,) bits, see :class:`Status`.
+        aid_sd: the aid's noise that was assumed, m/s.
+    """
+
+    time: Float[Array, " K"]
+    q_nb: Float[Array, "K 4"]
+    defined: Bool[Array, " K"]
+    observable: Bool[Array, " K"]
+    eigengap: Float[Array, " K"]
+    residual: Float[Array, "K 3"]
+    weight: Float[Array, " K"]
+    alpha: Float[Array, "K 3"]
+    beta: Float[Array, "K 3"]
+    sd: Float[Array, "K 3"] | None
+    status: Int[Array, " K"]
+    aid_sd: Float[Array, ""]
+
+    def _masked(self, values: jax.Array) -> np.ndarray:
+        defined = np.asarray(self.defined)
+        values = np.array(values)
+        values[~defined] = np.nan
+        return values
+
+    @property
+    def C_nb(self) -> np.ndarray:
+        """(K, 3, 3) on the host, NaN where there is no attitude."""
+        return self._masked(dcm_from_quat(self.q_nb))
+
+    @property
+    def euler_deg(self) -> np.ndarray:
+        """(K, 3) pitch, roll, yaw in degrees on the host, NaN where there is no attitude."""
+        return self._masked(np.rad2deg(euler_from_quat(self.q_nb)))
+
+    @property
+    def heading_deg(self) -> np.ndarray:
+        """(K,) clockwise from north, 0..360 deg, on the host, NaN where there is no attitude."""
+        return self._masked(heading_deg(euler_from_quat(self.q_nb)[..., 2]))
+
+    def to_numpy(self) -> dict[str, np.ndarray]:
+        """Everything a file should hold, as NumPy arrays; NaN where there is no attitude yet."""
+        out = {
+            "t": np.asarray(self.time),
+            "C_nb": self.C_nb,
+            "q_nb": self._masked(self.q_nb),
+            "euler_deg": self.euler_deg,
+            "heading_deg": self.heading_deg,
+            "observable": np.asarray(self.observable),
+            "eigengap": np.asarray(self.eigengap),
+            "residual": self._masked(self.residual),
+            "weight": np.asarray(self.weight),
+            "status": np.asarray(self.status),
+            "aid_sd": np.asarray(self.aid_sd),
+        }
+        if self.sd is not None:
+            out["sd_deg"] = self._masked(np.rad2deg(self.sd))
+        return out

@@ -1,0 +1,37 @@
+"""The contract of the slot, and the weight of one."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxalign.observe import Context, Pair
+
+__all__ = ["AbstractWeight", "Unit"]
+
+
+class AbstractWeight(eqx.Module):
+    """Slot: a pair to a weight in [0, 1]."""
+
+    @abstractmethod
+    def init(self) -> Any:
+        """State before the first epoch."""
+
+    @abstractmethod
+    def step(self, state: Any, context: Context, pair: Pair) -> tuple[Any, Any]:
+        """Weigh one pair; where ``pair.valid`` is False the state must not change (the weight is then ignored)."""
+
+
+class Unit(AbstractWeight):
+    """Every pair counts alike."""
+
+    def init(self) -> Any:
+        """No state."""
+        return None
+
+    def step(self, state: Any, context: Context, pair: Pair) -> tuple[Any, Any]:
+        """One."""
+        return state, jnp.ones((), jnp.float64)
