@@ -46,16 +46,24 @@ class Site(eqx.Module):
         lat: latitude, rad, positive north.
         lon: longitude, rad, positive east (no result depends on it).
         h: height above the ellipsoid, m.
+        anomaly: local gravity minus normal gravity, m/s^2.
     """
 
     lat: Float[Array, ""]
     lon: Float[Array, ""]
     h: Float[Array, ""]
+    anomaly: Float[Array, ""]
 
-    def __init__(self, lat: Any, lon: Any = 0.0, h: Any = 0.0):
+    def __init__(self, lat: Any, lon: Any = 0.0, h: Any = 0.0, anomaly: Any = 0.0):
         self.lat = jnp.asarray(lat, jnp.float64)
         self.lon = jnp.asarray(lon, jnp.float64)
         self.h = jnp.asarray(h, jnp.float64)
+        self.anomaly = jnp.asarray(anomaly, jnp.float64)
+
+    @property
+    def gravity(self) -> Any:
+        """Local gravity, m/s^2."""
+        return normal_gravity(self.lat, self.h) + self.anomaly
 
 
 def radii(lat: Any) -> tuple[Any, Any]:

@@ -74,7 +74,7 @@ class BodyVelocity(AbstractObserve):
     def init(self, site: Site, interval: float) -> Any:
         """State before the first epoch (see the base class)."""
         sums = Sums.zero(moment=self.coupled)
-        zero, none, place = Vec3.zero(), Quat.identity(), Place.of(site)
+        zero, none, place = Vec3.zero(), Quat.identity(), Place(site)
         held = window(self.window, interval, sums)
         return _State(
             none, none, place, zero, zero, sums, held, zero, zero, zero, zero.x, place.earth_rate
@@ -82,14 +82,16 @@ class BodyVelocity(AbstractObserve):
 
     def _rate(self, s: Any, context: Context, velocity_b0: Vec3, dt: Any) -> tuple[Vec3, Place]:
         """w_in of the interval and the place at its end."""
-        w_ie = s.place.earth_rate
+        place = s.place
         if not self.transport_rate:
-            return w_ie, s.place
-        closed = self.coupled
-        mean_b0 = (s.velocity_b0 + velocity_b0) * 0.5 if closed else s.velocity_b0
+            return place.earth_rate, place
+        mean_b0 = (s.velocity_b0 + velocity_b0) * 0.5 if self.coupled else s.velocity_b0
         mean_n = s.q_n0n.conjugate().rotate(context.attitude.rotate(mean_b0))
         velocity = where(context.defined, mean_n, Vec3.zero())
-        return w_ie + s.place.transport_rate(velocity), s.place.moved(velocity, dt) if closed else s.place
+        if not self.coupled:  # as the published recursions would have it: first order, at the start
+            return place.earth_rate + place.transport_rate(velocity), place
+        middle = place.moved(velocity, 0.5 * dt)
+        return middle.earth_rate + middle.transport_rate(velocity), place.moved(velocity, dt)
 
     def step(self, state: Any, context: Context, epoch: Epoch) -> tuple[Any, Pair]:
         """Consume one epoch."""

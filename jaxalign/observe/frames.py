@@ -5,43 +5,41 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float
 
-from jaxalign.earth import Site, earth_rate, normal_gravity, radii, transport_rate
+from jaxalign.earth import Site, earth_rate, radii, transport_rate
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["Place", "gravity_impulse", "turn"]
 
 
 class Place(eqx.Module):
-    """Latitude (rad) and height (m) as the vehicle moves."""
+    """The site, its latitude following the vehicle.
 
-    lat: Float[Array, ""]
-    h: Float[Array, ""]
+    The height stays that of the start: 100 m change gravity by 3e-5 of itself, along the vertical.
+    """
 
-    @classmethod
-    def of(cls, site: Site) -> Place:
-        """Where the vehicle is switched on."""
-        return cls(site.lat, site.h)
+    site: Site
 
     def moved(self, velocity: Vec3, dt: Any) -> Place:
         """After ``dt`` seconds at a velocity in n (m/s)."""
-        meridian, _ = radii(self.lat)
-        return Place(self.lat + velocity.y * dt / (meridian + self.h), self.h + velocity.z * dt)
+        site = self.site
+        meridian, _ = radii(site.lat)
+        lat = site.lat + velocity.y * dt / (meridian + site.h)
+        return Place(eqx.tree_at(lambda s: s.lat, site, lat))
 
     @property
     def gravity(self) -> Any:
-        """Normal gravity, m/s^2."""
-        return normal_gravity(self.lat, self.h)
+        """Local gravity, m/s^2."""
+        return self.site.gravity
 
     @property
     def earth_rate(self) -> Vec3:
         """w_ie in n, rad/s."""
-        return earth_rate(self.lat)
+        return earth_rate(self.site.lat)
 
     def transport_rate(self, velocity: Vec3) -> Vec3:
         """w_en in n, rad/s."""
-        return transport_rate(self.lat, self.h, velocity)
+        return transport_rate(self.site.lat, self.site.h, velocity)
 
 
 def turn(q_n0n: Quat, rate: Vec3, dt: Any) -> Quat:

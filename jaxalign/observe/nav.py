@@ -59,7 +59,7 @@ class NavVelocity(AbstractObserve):
     def init(self, site: Site, interval: float) -> Any:
         """State before the first epoch (see the base class)."""
         sums = Sums.zero(moment=False)
-        zero, none, place = Vec3.zero(), Quat.identity(), Place.of(site)
+        zero, none, place = Vec3.zero(), Quat.identity(), Place(site)
         held = window(self.window, interval, sums)
         return _State(none, none, place, zero, zero, sums, held, zero, zero, zero.x, place.earth_rate)
 
@@ -72,7 +72,8 @@ class NavVelocity(AbstractObserve):
             # Before the first fix there is nothing to average with: its own velocity stands for the interval.
             before = where(s.window.started, s.velocity, velocity)
             mean = (before + velocity) * 0.5
-            rate, place = rate + place.transport_rate(mean), place.moved(mean, epoch.dt)
+            middle, place = place.moved(mean, 0.5 * epoch.dt), place.moved(mean, epoch.dt)
+            rate = middle.earth_rate + middle.transport_rate(mean)
         q_b0b = (s.q_b0b * epoch.rotation).renormalised()
         q_n0n = turn(s.q_n0n, rate, epoch.dt)
         gravity = s.gravity + s.q_n0n.rotate(gravity_impulse(rate, s.place.gravity, epoch.dt))
