@@ -1,1 +1,82 @@
-"""Initial alignment of strapdown inertial navigation systems in JAX."""
+"""Initial alignment of strapdown inertial navigation systems: differentiable, vectorised, in JAX.
+
+Conventions, once for the whole library:
+
+- n is East-North-Up, b right-forward-up, i inertial; n0 and b0 are n and b frozen at t = 0. ``C_ab`` and ``q_ab`` map
+  vectors of b into a; quaternions are Hamilton, scalar first.
+- ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``, yaw counter-clockwise from north; ``heading`` is clockwise from north, 0..360 deg, for people.
+- Attitude errors are phi in n with ``C_est = (I - [phi x]) C_true``.
+- SI units and radians inside; degrees, deg/h, ug only at the edges, with ``_deg`` and the like in the name.
+- Forward-right-down and North-East-Down data are turned once, in the reader.
+- float64: enable x64 before anything is built. The library never changes JAX's global settings.
+
+The way of the data: a :class:`Log` is preintegrated to :class:`Epochs`; a method (:mod:`jaxalign.methods`) turns epochs
+into vector pairs, reconstructs, weighs and accumulates them, and reads out attitudes: a :class:`Solution`.
+"""
+
+from jaxalign import earth, io, methods, rotation, simulate
+from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
+from jaxalign.earth import Site
+from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
+from jaxalign.errors import UserError
+from jaxalign.estimate import AbstractEstimate, CentredWahba, QMethod, Readout, davenport
+from jaxalign.io import read
+from jaxalign.log import Log
+from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
+from jaxalign.parameters import parameters, tunable, with_parameters
+from jaxalign.preintegrate import Increment, preintegrate
+from jaxalign.reconstruct import AbstractReconstruct, Measured
+from jaxalign.solution import Solution, Status
+from jaxalign.two_vector import AbstractRecordMethod, DualVector, MeanTriad
+from jaxalign.vector import Mat3, Quat, Vec3
+from jaxalign.weight import AbstractWeight, Unit
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "AbstractEstimate",
+    "AbstractObserve",
+    "AbstractReconstruct",
+    "AbstractRecordMethod",
+    "AbstractWeight",
+    "AlignState",
+    "Aligner",
+    "BodyVelocity",
+    "CentredWahba",
+    "Context",
+    "DualVector",
+    "Epoch",
+    "Epochs",
+    "Increment",
+    "Log",
+    "Mat3",
+    "MeanTriad",
+    "Measured",
+    "NavVelocity",
+    "Pair",
+    "QMethod",
+    "Quat",
+    "Readout",
+    "Site",
+    "Solution",
+    "Static",
+    "Status",
+    "Unit",
+    "UserError",
+    "Vec3",
+    "align",
+    "davenport",
+    "earth",
+    "epochs_from_arrays",
+    "epochs_from_log",
+    "estimate_aid_sd",
+    "io",
+    "methods",
+    "parameters",
+    "preintegrate",
+    "read",
+    "rotation",
+    "simulate",
+    "tunable",
+    "with_parameters",
+]

@@ -7,44 +7,23 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxalign.aid_noise import white_noise_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_log, require_x64
 from jaxalign.errors import UserError
-from jaxalign.estimate import AbstractEstimate, Readout
+from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
-from jaxalign.observe import AbstractObserve, Context, Pair
+from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.reconstruct import AbstractReconstruct, Measured
 from jaxalign.solution import Solution, Status
-from jaxalign.vector import Mat3, Quat, Vec3, where
+from jaxalign.spread import Spread
+from jaxalign.vector import Quat, Vec3, where
 from jaxalign.weight import AbstractWeight, Unit
 
-__all__ = ["AlignState", "Aligner", "align"]
-
-
-class _Geometry(eqx.Module):
-    """``sum a a^T`` of the noise-free vectors and their number: has the heading become observable?"""
-
-    spread: Mat3
-    count: Float[Array, ""]
-
-    @classmethod
-    def zero(cls) -> _Geometry:
-        return cls(Mat3.zero(), jnp.zeros((), jnp.float64))
-
-    def plus(self, clean: Vec3, used: Any) -> _Geometry:
-        return _Geometry(self.spread + (clean * used).outer(clean), self.count + used)
-
-    def observable(self, sd: Any) -> Bool[Array, ""]:
-        """4 (s2 + s3) / (8 k sd^2) > 1; s2 + s3 from the principal minors, without cancellation."""
-        a = self.spread
-        minors = (
-            (a.r0.x * a.r1.y - a.r0.y * a.r1.x)
-            + (a.r0.x * a.r2.z - a.r0.z * a.r2.x)
-            + (a.r1.y * a.r2.z - a.r1.z * a.r2.y)
-        )
-        return 4.0 * minors > 8.0 * self.count * sd * sd * a.trace
+__all__ = ["AlignState", "Aligner", "align", "estimate_aid_sd"]
 
 
 class AlignState(eqx.Module):
@@ -54,7 +33,7 @@ class AlignState(eqx.Module):
     reconstruct: Any
     weight: Any
     estimate: Any
-    geometry: _Geometry
+    spread: Spread
     index: Int[Array, ""]
     time: Float[Array, ""]
     sd: Float[Array, ""]
@@ -109,7 +88,7 @@ class Aligner(eqx.Module):
             reconstruct=self.reconstruct.init(),
             weight=self.weight.init(),
             estimate=self.estimate.init(self.observe.coupled),
-            geometry=_Geometry.zero(),
+            spread=Spread.zero(),
             index=jnp.full((), -1, jnp.int32),
             time=zero,
             sd=jnp.asarray(aid_sd, jnp.float64),
@@ -127,13 +106,13 @@ class Aligner(eqx.Module):
         weight_state, weight = self.weight.step(state.weight, context, pair)
         weight = jnp.where(pair.valid, weight, 0.0)
         estimate = self.estimate.update(state.estimate, context, pair, weight)
-        geometry = state.geometry.plus(pair.clean, jnp.where(pair.valid, 1.0, 0.0))
+        spread = state.spread + Spread.of(pair.clean, pair.valid)
         return AlignState(
             observe=observe,
             reconstruct=reconstruct,
             weight=weight_state,
             estimate=estimate,
-            geometry=geometry,
+            spread=spread,
             index=state.index,
             time=state.time,
             sd=state.sd,
@@ -151,7 +130,7 @@ class Aligner(eqx.Module):
         q_nb = where(defined, q_nb, Quat.identity())
         pair = state.pair
         residual = pair.alpha - attitude.rotate(pair.beta)
-        observable = state.geometry.observable(state.sd) & defined
+        observable = state.spread.observable(state.sd) & defined
         finite = jnp.isfinite(readout.eigengap + q_nb.norm2() + residual.norm2())
         bits = (
             (~defined, Status.UNDEFINED),
@@ -179,6 +158,23 @@ class Aligner(eqx.Module):
     def step(self, state: AlignState, epoch: Epoch) -> tuple[AlignState, Solution]:
         """Consume one epoch and read out the attitude. Pure: no jit, print or callback inside."""
         return self.read(self.update(state, epoch))
+
+    def epochs(self, log: Log) -> Epochs:
+        """Preintegrate a log for this method.
+
+        Raises:
+            UserError: float32, or an aid that the method does not observe.
+        """
+        static = self.aid == "static"
+        if not static and log.aid != self.aid:
+            raise UserError(
+                f"{log.name} has a {log.aid!r} aid, the method observes {self.aid!r}: build it with aid={log.aid!r}"
+            )
+        return epochs_from_log(log, interval_samples=self.observe.interval_samples, static=static)
+
+    def solve(self, epochs: Epochs, every: int = 1) -> Solution:
+        """Align epochs: one compiled scan; also inside jit, vmap and grad."""
+        return _jitted(self, epochs, every)
 
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`align`."""
@@ -225,36 +221,53 @@ def _jitted(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     return _scan(aligner, epochs, every)
 
 
+def estimate_aid_sd(epochs: Epochs) -> float:
+    """Standard deviation of the aid's white noise (m/s), from the epochs themselves.
+
+    Aligns once with the plain q-method to get the vectors, then :func:`jaxalign.aid_noise.white_noise_sd`.
+
+    Raises:
+        UserError: too few epochs to tell.
+    """
+    observe: AbstractObserve = {"static": Static, "body": BodyVelocity, "nav": NavVelocity}[epochs.aid]()
+    found = Aligner(observe, estimate=QMethod()).solve(epochs)
+    valid = np.asarray(found.status) & int(Status.AID_MISSING) == 0
+    sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid)
+    if sd is None:
+        raise UserError(
+            "too few velocities to estimate the noise of the aid: state it (aid_sd of the log, --aid-sd), m/s"
+        )
+    return sd
+
+
 def align(method: Any, log: Log | Epochs, every: int = 1) -> Solution:
     """Align a log with a method.
 
     Args:
-        method: an :class:`Aligner`, or anything with ``align(log, every)``.
+        method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``epochs(log)`` and
+            ``solve(epochs, every)``.
         log: a checked log (host), or Epochs (also inside jit, vmap, grad).
-        every: epochs between two read-outs. The eigenproblem costs more than all the rest of a step; between read-outs feedback
-            of the attitude (transport rate, residual weights) uses the last one. Rows come at epoch 0, at each
+        every: epochs between two read-outs. The eigenproblem costs more than all the rest of a step; between read-outs
+            feedback of the attitude (transport rate, residual weights) uses the last one. Rows come at epoch 0, at each
             ``every``-th epoch and at the last one.
 
     Returns:
-        A :class:`Solution`.
+        A :class:`Solution`. Where a log does not state the noise of the aid that the method observes, it is estimated from the log
+        (:func:`estimate_aid_sd`); ``Solution.aid_sd`` says what was used.
 
     Raises:
-        UserError: float32, an aid that the method does not observe, or ``every`` < 1.
+        UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be estimated.
     """
-    if not isinstance(method, Aligner):
-        return method.align(log, every)
     if every < 1 or every != int(every):
         raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
     require_x64(method)
-    if isinstance(log, Log):
-        static = method.aid == "static"
-        if not static and log.aid != method.aid:
-            raise UserError(
-                f"{log.name} has a {log.aid!r} aid, the method observes {method.aid!r}: build it with aid={log.aid!r}"
-            )
-        log = epochs_from_log(log, interval_samples=method.observe.interval_samples, static=static)
-    else:
+    if isinstance(log, Epochs):
         require_x64(log)
         if log.aid != method.aid:
             raise UserError(f"these epochs have a {log.aid!r} aid, the method observes {method.aid!r}")
-    return _jitted(method, log, int(every))
+        return method.solve(log, int(every))
+    epochs = method.epochs(log)
+    if log.aid_sd is None or log.aid != epochs.aid:
+        sd = jnp.asarray(estimate_aid_sd(epochs), jnp.float64)
+        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, sd)
+    return method.solve(epochs, int(every))

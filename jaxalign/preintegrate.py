@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxalign.vector import Quat, Vec3, sinc_like
+from jaxalign.vector import Quat, Vec3, mean_rotated
 
 __all__ = ["Increment", "Scheme", "preintegrate"]
 
@@ -54,24 +54,15 @@ class Increment(eqx.Module):
         return Increment(self.rotation * later.rotation, self.dvel + self.rotation.rotate(later.dvel))
 
 
-def _rotate_mean(rotvec: Vec3, v: Vec3) -> Vec3:
-    """``V(rotvec) v``: the mean of C(s) over a constant-rate rotation, applied to a vector."""
-    angle2 = rotvec.norm2()
-    first = sinc_like(angle2, lambda a: (1 - jnp.cos(a)) / a**2, (1 / 2, -1 / 24, 1 / 720))
-    second = sinc_like(angle2, lambda a: (a - jnp.sin(a)) / a**3, (1 / 6, -1 / 120, 1 / 5040))
-    turned = rotvec.cross(v)
-    return v + turned * first + rotvec.cross(turned) * second
-
-
-def _rotate_mean_series(rotvec: Vec3, v: Vec3) -> Vec3:
-    """The same to second order in the rotation."""
+def _mean_rotated_series(rotvec: Vec3, v: Vec3) -> Vec3:
+    """:func:`mean_rotated` to second order in the rotation."""
     turned = rotvec.cross(v)
     return v + turned * 0.5 + rotvec.cross(turned) * (1 / 6)
 
 
-def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, rotate_mean=_rotate_mean) -> Increment:
+def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated) -> Increment:
     total = th1 + th2
-    dvel = rotate_mean(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
+    dvel = turned(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
     return Increment(Quat.exp(total + th1.cross(th2) * (2 / 3)), dvel)
 
 
@@ -83,7 +74,7 @@ def _plain_pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
 
 def _single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
     th_, dv_ = before
-    dvel = _rotate_mean(th, dv) + (th_.cross(dv) + dv_.cross(th)) * (1 / 12)
+    dvel = mean_rotated(th, dv) + (th_.cross(dv) + dv_.cross(th)) * (1 / 12)
     return Increment(Quat.exp(th + th_.cross(th) * (1 / 12)), dvel)
 
 
@@ -140,8 +131,8 @@ def preintegrate(
         return _compose(_single(lookback(), th, dv))
     if scheme.startswith("pairs"):
         even = every // 2 * 2
-        rotate_mean = _rotate_mean if scheme == "pairs" else _rotate_mean_series
-        total = _compose(_pair(*take(0, even, 2), *take(1, even, 2), rotate_mean))
+        turned = mean_rotated if scheme == "pairs" else _mean_rotated_series
+        total = _compose(_pair(*take(0, even, 2), *take(1, even, 2), turned))
         if even < every:
             before, last = take(every - 2, every - 1), take(every - 1, every)
             total = jax.tree.map(lambda x: x[None], total)

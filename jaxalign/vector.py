@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-__all__ = ["Mat3", "Quat", "Vec3", "sinc_like", "where"]
+__all__ = ["Mat3", "Quat", "Vec3", "mean_rotated", "where"]
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
@@ -111,7 +111,7 @@ class Vec3:
 _SMALL = 1e-3
 
 
-def sinc_like(angle2: Any, exact: Any, series: tuple[float, ...]) -> Any:
+def _sinc_like(angle2: Any, exact: Any, series: tuple[float, ...]) -> Any:
     """``exact(angle)`` away from zero, a power series in ``angle**2`` near it; safe in value and gradient."""
     small = angle2 < _SMALL**2
     angle = jnp.sqrt(jnp.where(small, 1.0, angle2))
@@ -119,6 +119,15 @@ def sinc_like(angle2: Any, exact: Any, series: tuple[float, ...]) -> Any:
     for coefficient in series[-2::-1]:
         near = coefficient + near * power
     return jnp.where(small, near, exact(angle))
+
+
+def mean_rotated(rotvec: Vec3, v: Vec3) -> Vec3:
+    """The mean of ``exp([r x]) v`` as r goes evenly from zero to ``rotvec`` (rad)."""
+    angle2 = rotvec.norm2()
+    first = _sinc_like(angle2, lambda a: (1 - jnp.cos(a)) / a**2, (1 / 2, -1 / 24, 1 / 720))
+    second = _sinc_like(angle2, lambda a: (a - jnp.sin(a)) / a**3, (1 / 6, -1 / 120, 1 / 5040))
+    turned = rotvec.cross(v)
+    return v + turned * first + rotvec.cross(turned) * second
 
 
 @jax.tree_util.register_dataclass
@@ -148,8 +157,8 @@ class Quat:
     def exp(cls, rotvec: Vec3) -> Quat:
         """Quaternion of a rotation vector (rad)."""
         angle2 = rotvec.norm2()
-        scale = sinc_like(angle2, lambda a: jnp.sin(a / 2) / a, (1 / 2, -1 / 48, 1 / 3840))
-        w = sinc_like(angle2, lambda a: jnp.cos(a / 2), (1.0, -1 / 8, 1 / 384))
+        scale = _sinc_like(angle2, lambda a: jnp.sin(a / 2) / a, (1 / 2, -1 / 48, 1 / 3840))
+        w = _sinc_like(angle2, lambda a: jnp.cos(a / 2), (1.0, -1 / 8, 1 / 384))
         return cls(w, rotvec.x * scale, rotvec.y * scale, rotvec.z * scale)
 
     @property

@@ -1,0 +1,6 @@
+"""``python -m jaxalign``."""
+
+from jaxalign.cli.main import entry
+
+if __name__ == "__main__":
+    entry()

@@ -1,0 +1,43 @@
+"""``jaxalign methods``: what there is, by name."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+__all__ = ["add"]
+
+
+def add(commands: Any) -> None:
+    """Add the sub-command."""
+    command = commands.add_parser(
+        "methods",
+        help="list the methods with their sources and settable parameters",
+        description="List the methods, the aids they take, their sources and what --set can change.",
+    )
+    command.add_argument("name", nargs="?", metavar="NAME", help="show only this one, with its documentation")
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    import inspect
+
+    from jaxalign.methods import RECIPES, build
+    from jaxalign.parameters import parameters
+
+    if options.name:
+        build(options.name)  # one message for an unknown name
+    for recipe in RECIPES.values():
+        if options.name not in (None, recipe.name):
+            continue
+        print(f"{recipe.name:14s}{recipe.summary}")
+        print(f"{'':14s}aids: {', '.join(recipe.aids)}; source: {recipe.source}")
+        for aid in recipe.aids:
+            method = build(recipe.name, aid)
+            values = ", ".join(f"{path}={value}".lower() for path, value in parameters(method).items())
+            print(f"{'':14s}{aid}: {values}")
+            if options.name:
+                for part in (method, *(getattr(method, n, None) for n in ("observe", "weight", "estimate"))):
+                    if part is not None:
+                        print(f"\n[{type(part).__name__}]\n{inspect.getdoc(type(part))}\n")
+    return 0

@@ -1,0 +1,128 @@
+"""The published methods by name: each a choice of slots.
+
+A recipe is a function from the kind of aid to a method; its options are those of the observation slot. Everything
+else is set by path, with :func:`jaxalign.with_parameters`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from jaxalign.aligner import Aligner
+from jaxalign.epochs import Aid
+from jaxalign.errors import UserError
+from jaxalign.estimate import CentredWahba, QMethod
+from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
+from jaxalign.parameters import with_parameters
+from jaxalign.two_vector import DualVector, MeanTriad
+
+__all__ = [
+    "RECIPES",
+    "Recipe",
+    "build",
+    "centred_oba",
+    "dual_vector",
+    "gravity_q",
+    "oba",
+    "observer",
+    "triad",
+    "velocity_q",
+]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A method by name.
+
+    Attributes:
+        name: as in the papers' vocabulary.
+        make: aid -> method.
+        aids: the kinds of aid it takes, the first being the default.
+        source: paper and equations.
+        summary: one line for people.
+    """
+
+    name: str
+    make: Callable[..., Any]
+    aids: tuple[str, ...]
+    source: str
+    summary: str
+
+
+RECIPES: dict[str, Recipe] = {}
+"""All recipes by name."""
+
+
+def _recipe(*aids: str, source: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def register(make: Callable[..., Any]) -> Callable[..., Any]:
+        summary = (make.__doc__ or "").split("\n")[0]
+        RECIPES[make.__name__] = Recipe(make.__name__, make, aids, source, summary)
+        return make
+
+    return register
+
+
+def observer(aid: Aid, **options: Any) -> AbstractObserve:
+    """The observation slot for a kind of aid, with its options."""
+    return {"static": Static, "body": BodyVelocity, "nav": NavVelocity}[aid](**options)
+
+
+@_recipe("static", source="vondrak_disturbed_base (1)-(5), repaired")
+def triad(aid: Aid = "static", **options: Any) -> MeanTriad:
+    """Mean specific force and mean rotation: for a base that does not turn at all."""
+    return MeanTriad(**options)
+
+
+@_recipe("static", source="xu2017 [8-12]; vondrak_disturbed_base, inertial frame; Hann windows ours")
+def dual_vector(aid: Aid = "static", **options: Any) -> DualVector:
+    """Gravity in inertial space early and late, each averaged with a Hann window, and TRIAD."""
+    return DualVector(**options)
+
+
+@_recipe("static", source="xu2017 (7)-(12), Scheme 1")
+def gravity_q(aid: Aid = "static", **options: Any) -> Aligner:
+    """q-method on the directions of the specific force: maximum likelihood for a swaying base."""
+    return Aligner(Static(vectors="instantaneous", **options), estimate=QMethod(normalise=True))
+
+
+@_recipe("static", source="xu2017 (13)-(14), Scheme 2; weighted by length instead of normalised")
+def velocity_q(aid: Aid = "static", **options: Any) -> Aligner:
+    """q-method on the integrated specific force: best under linear sway about a fixed place."""
+    return Aligner(Static(**options), estimate=QMethod())
+
+
+@_recipe("body", "nav", "static", source="xu2020 (6)-(22); shen2025 OBA; huang q-method with normalise")
+def oba(aid: Aid = "body", **options: Any) -> Aligner:
+    """Optimisation-based alignment: q-method on velocity vectors integrated since the start."""
+    return Aligner(observer(aid, **options), estimate=QMethod())
+
+
+@_recipe("body", "nav", source="none of the papers: Wahba's problem with the first velocity eliminated")
+def centred_oba(aid: Aid = "body", **options: Any) -> Aligner:
+    """The same with the first velocity free: on the Cramer-Rao bound for clean aid noise."""
+    return Aligner(observer(aid, **options), estimate=CentredWahba())
+
+
+def build(name: str, aid: str | None = None, parameters: dict[str, Any] | None = None) -> Any:
+    """A method by name.
+
+    Args:
+        name: of the recipe.
+        aid: "static", "body" or "nav"; by default what the recipe is first meant for.
+        parameters: path -> value (strings are parsed), see :func:`jaxalign.with_parameters`.
+
+    Raises:
+        UserError: unknown name or parameter (the nearest are offered), or an aid that the recipe does not take.
+    """
+    if name not in RECIPES:
+        near = difflib.get_close_matches(name, RECIPES, n=3, cutoff=0.4)
+        hint = f"did you mean {', '.join(near)}?" if near else f"there are {', '.join(RECIPES)}"
+        raise UserError(f"no method {name!r}: {hint}")
+    recipe = RECIPES[name]
+    kind = aid or recipe.aids[0]
+    if kind not in recipe.aids:
+        raise UserError(f"{name} does not take a {kind!r} aid, only {', '.join(recipe.aids)}")
+    return with_parameters(recipe.make(kind), parameters or {})

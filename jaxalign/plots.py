@@ -1,0 +1,153 @@
+"""Pictures of an alignment (needs the ``plots`` extra)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxalign.errors import UserError
+from jaxalign.log import Log
+from jaxalign.metrics import attitude_error_deg, reference_at
+from jaxalign.rotation import euler_from_dcm
+from jaxalign.solution import Solution, Status
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["attitude", "compare", "require"]
+
+_GREY = "0.6"
+
+
+def require() -> None:
+    """Say how to get matplotlib if it is not there.
+
+    Raises:
+        UserError: matplotlib is missing.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise UserError("pictures need matplotlib: pip install 'jaxalign[plots]'") from None
+
+
+def _figure(rows: int, height: float) -> tuple[Figure, Any]:
+    require()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+
+
+def _unwrapped(heading: np.ndarray) -> np.ndarray:
+    """Without jumps at 360 deg; NaN stays."""
+    out, known = heading.copy(), np.isfinite(heading)
+    out[known] = np.unwrap(heading[known], period=360.0)
+    return out
+
+
+def _robust_limits(axis: Any, values: np.ndarray, floor: float) -> None:
+    """Limits that show the converged part; the wild beginning may leave the frame."""
+    values = values[np.isfinite(values)]
+    if values.size:
+        low, high = np.percentile(values, [2, 98])
+        pad = max(0.15 * (high - low), floor)
+        axis.set_ylim(low - pad, high + pad)
+
+
+def _shade_unobservable(axes: Any, solution: Solution, time: np.ndarray) -> None:
+    seen = np.flatnonzero(np.asarray(solution.observable))
+    end = time[seen[0]] if seen.size else time[-1]
+    if end > time[0]:
+        for axis in axes:
+            axis.axvspan(time[0], end, color="0.92", zorder=0, label="heading not observable yet")
+
+
+def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
+    """Pitch, roll, heading with the reference where there is one, errors, and residuals over time.
+
+    Args:
+        solution: of one log (no batch axes).
+        log: that was aligned.
+        title: of the picture.
+
+    Returns:
+        A figure; ``figure.savefig(...)`` writes it.
+    """
+    numbers = solution.to_numpy()
+    time = numbers["t"] + log.t0
+    reference = reference_at(log, numbers["t"])
+    error = attitude_error_deg(solution, log)
+    figure, axes = _figure(4 if error is None else 6, 10 if error is None else 13.5)
+    truth = None if reference is None else np.rad2deg(np.array(euler_from_dcm(reference)))
+
+    for i, name in enumerate(("pitch", "roll")):
+        axes[i].plot(time, numbers["euler_deg"][:, i], label="estimate")
+        if truth is not None:
+            axes[i].plot(time, truth[:, i], "--", color=_GREY, label="reference")
+        axes[i].set_ylabel(f"{name} (deg)")
+        _robust_limits(axes[i], numbers["euler_deg"][:, i], 0.01)
+    heading = _unwrapped(numbers["heading_deg"])
+    if truth is not None:
+        straight = _unwrapped(np.mod(-truth[:, 2], 360.0))
+        heading = straight + np.mod(heading - straight + 180.0, 360.0) - 180.0
+        axes[2].plot(time, straight, "--", color=_GREY, label="reference", zorder=3)
+    axes[2].plot(time, heading, label="estimate")
+    axes[2].set_ylabel("heading (deg)")
+    _robust_limits(axes[2], heading, 0.5)
+    last = 3
+    if error is not None:
+        axes[3].plot(time, error[:, 0], label="east")
+        axes[3].plot(time, error[:, 1], label="north")
+        axes[3].set_ylabel("level error (deg)")
+        _robust_limits(axes[3], error[:, :2], 0.002)
+        axes[4].semilogy(time, np.maximum(np.abs(error[:, 2]), 1e-6), color="C3", label="|error|")
+        axes[4].set_ylabel("heading error (deg)")
+        last = 5
+    used = (numbers["status"] & (Status.AID_MISSING | Status.UNDEFINED)) == 0
+    size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
+    axes[last].semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
+    axes[last].axhline(
+        float(numbers["aid_sd"]), color=_GREY, linestyle=":", label=f"white noise {float(numbers['aid_sd']):.2g} m/s"
+    )
+    axes[last].set_ylabel("residual (m/s)")
+    axes[last].set_xlabel("time (s)")
+    _shade_unobservable(axes, solution, time)
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        axis.legend(loc="upper right", fontsize="small")
+    figure.suptitle(title or log.name)
+    return figure
+
+
+def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure:
+    """Errors of several methods on one log with a reference.
+
+    Args:
+        solutions: name -> solution.
+        log: with a reference attitude.
+        title: of the picture.
+
+    Raises:
+        UserError: the log has no reference.
+    """
+    if log.C_nb is None:
+        raise UserError(f"{log.name} has no reference attitude to compare with")
+    figure, axes = _figure(3, 8)
+    names = ("east (deg)", "north (deg)", "heading error (deg)")
+    for name, solution in solutions.items():
+        error = attitude_error_deg(solution, log)
+        assert error is not None
+        time = np.asarray(solution.time) + log.t0
+        for i in range(3):
+            axes[i].semilogy(time, np.maximum(np.abs(error[:, i]), 1e-6), label=name, linewidth=1.2)
+    for axis, label in zip(axes, names, strict=True):
+        axis.set_ylabel(f"|{label.split(' (')[0]}| (deg)")
+        axis.grid(alpha=0.3, which="both")
+        axis.legend(loc="upper right", fontsize="small")
+    axes[-1].set_xlabel("time (s)")
+    figure.suptitle(title or log.name)
+    return figure
