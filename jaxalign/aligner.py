@@ -39,6 +39,7 @@ class AlignState(eqx.Module):
     sd: Float[Array, ""]
     readout: Readout
     pair: Pair
+    aided: Bool[Array, ""]  # whether the aid had a sample at the last epoch
     used: Float[Array, ""]  # weight of the pair
 
     @property
@@ -94,6 +95,7 @@ class Aligner(eqx.Module):
             sd=jnp.asarray(aid_sd, jnp.float64),
             readout=Readout(Quat.identity(), zero),
             pair=Pair(v, v, jnp.zeros((), bool), v, v, moment, v),
+            aided=jnp.zeros((), bool),
             used=zero,
         )
 
@@ -118,6 +120,7 @@ class Aligner(eqx.Module):
             sd=state.sd,
             readout=state.readout,
             pair=pair,
+            aided=epoch.valid,
             used=weight,
         )
 
@@ -135,7 +138,7 @@ class Aligner(eqx.Module):
         bits = (
             (~defined, Status.UNDEFINED),
             (~observable, Status.HEADING_UNOBSERVABLE),
-            (~pair.valid, Status.AID_MISSING),
+            (~state.aided, Status.AID_MISSING),
             (~finite, Status.NON_FINITE),
         )
         status = sum(jnp.where(condition, jnp.int32(bit), jnp.int32(0)) for condition, bit in bits)

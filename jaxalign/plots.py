@@ -42,19 +42,20 @@ def _figure(rows: int, height: float) -> tuple[Figure, Any]:
     return figure, figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
 
 
-def _unwrapped(heading: np.ndarray) -> np.ndarray:
-    """Without jumps at 360 deg; NaN stays."""
-    out, known = heading.copy(), np.isfinite(heading)
-    out[known] = np.unwrap(heading[known], period=360.0)
+def _unbroken(heading: np.ndarray) -> np.ndarray:
+    """NaN where the heading passes north, so that no line is drawn across the picture."""
+    out = heading.copy()
+    out[1:][np.abs(np.diff(heading)) > 180.0] = np.nan
     return out
 
 
-def _robust_limits(axis: Any, values: np.ndarray, floor: float) -> None:
-    """Limits that show the converged part; the wild beginning may leave the frame."""
-    values = values[np.isfinite(values)]
-    if values.size:
-        low, high = np.percentile(values, [2, 98])
-        pad = max(0.15 * (high - low), floor)
+def _settled_limits(axis: Any, values: list[np.ndarray], floor: float) -> None:
+    """Limits that show all but the first quarter: the wild beginning may leave the frame."""
+    settled = np.concatenate([v[len(v) // 4 :].ravel() for v in values])
+    settled = settled[np.isfinite(settled)]
+    if settled.size:
+        low, high = settled.min(), settled.max()
+        pad = max(0.1 * (high - low), floor)
         axis.set_ylim(low - pad, high + pad)
 
 
@@ -62,8 +63,8 @@ def _shade_unobservable(axes: Any, solution: Solution, time: np.ndarray) -> None
     seen = np.flatnonzero(np.asarray(solution.observable))
     end = time[seen[0]] if seen.size else time[-1]
     if end > time[0]:
-        for axis in axes:
-            axis.axvspan(time[0], end, color="0.92", zorder=0, label="heading not observable yet")
+        for i, axis in enumerate(axes):
+            axis.axvspan(time[0], end, color="0.92", zorder=0, label=None if i else "heading not yet\nobservable")
 
 
 def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
@@ -84,41 +85,38 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
     figure, axes = _figure(4 if error is None else 6, 10 if error is None else 13.5)
     truth = None if reference is None else np.rad2deg(np.array(euler_from_dcm(reference)))
 
-    for i, name in enumerate(("pitch", "roll")):
-        axes[i].plot(time, numbers["euler_deg"][:, i], label="estimate")
-        if truth is not None:
-            axes[i].plot(time, truth[:, i], "--", color=_GREY, label="reference")
-        axes[i].set_ylabel(f"{name} (deg)")
-        _robust_limits(axes[i], numbers["euler_deg"][:, i], 0.01)
-    heading = _unwrapped(numbers["heading_deg"])
+    shown = numbers["euler_deg"].copy()
+    shown[:, 2] = numbers["heading_deg"]
     if truth is not None:
-        straight = _unwrapped(np.mod(-truth[:, 2], 360.0))
-        heading = straight + np.mod(heading - straight + 180.0, 360.0) - 180.0
-        axes[2].plot(time, straight, "--", color=_GREY, label="reference", zorder=3)
-    axes[2].plot(time, heading, label="estimate")
-    axes[2].set_ylabel("heading (deg)")
-    _robust_limits(axes[2], heading, 0.5)
+        truth[:, 2] = np.mod(-truth[:, 2], 360.0)
+    for i, name in enumerate(("pitch", "roll", "heading")):
+        lines = [shown[:, i]] if truth is None else [shown[:, i], truth[:, i]]
+        axes[i].plot(time, _unbroken(lines[0]), label="estimate")
+        if truth is not None:
+            axes[i].plot(time, _unbroken(lines[1]), "--", color=_GREY, label="reference")
+        axes[i].set_ylabel(f"{name} (deg)")
+        _settled_limits(axes[i], lines, 0.5 if name == "heading" else 0.01)
     last = 3
     if error is not None:
         axes[3].plot(time, error[:, 0], label="east")
         axes[3].plot(time, error[:, 1], label="north")
         axes[3].set_ylabel("level error (deg)")
-        _robust_limits(axes[3], error[:, :2], 0.002)
+        _settled_limits(axes[3], [error[:, :2]], 0.002)
         axes[4].semilogy(time, np.maximum(np.abs(error[:, 2]), 1e-6), color="C3", label="|error|")
         axes[4].set_ylabel("heading error (deg)")
         last = 5
-    used = (numbers["status"] & (Status.AID_MISSING | Status.UNDEFINED)) == 0
+    used = (numbers["weight"] > 0) & ((numbers["status"] & Status.UNDEFINED) == 0)
     size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
     axes[last].semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
     axes[last].axhline(
-        float(numbers["aid_sd"]), color=_GREY, linestyle=":", label=f"white noise {float(numbers['aid_sd']):.2g} m/s"
+        float(numbers["aid_sd"]), color=_GREY, linestyle=":", label=f"white noise\n{float(numbers['aid_sd']):.2g} m/s"
     )
     axes[last].set_ylabel("residual (m/s)")
     axes[last].set_xlabel("time (s)")
     _shade_unobservable(axes, solution, time)
     for axis in axes:
         axis.grid(alpha=0.3)
-        axis.legend(loc="upper right", fontsize="small")
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     figure.suptitle(title or log.name)
     return figure
 
@@ -137,7 +135,7 @@ def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure
     if log.C_nb is None:
         raise UserError(f"{log.name} has no reference attitude to compare with")
     figure, axes = _figure(3, 8)
-    names = ("east (deg)", "north (deg)", "heading error (deg)")
+    names = ("level error east", "level error north", "heading error")
     for name, solution in solutions.items():
         error = attitude_error_deg(solution, log)
         assert error is not None
@@ -145,7 +143,7 @@ def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure
         for i in range(3):
             axes[i].semilogy(time, np.maximum(np.abs(error[:, i]), 1e-6), label=name, linewidth=1.2)
     for axis, label in zip(axes, names, strict=True):
-        axis.set_ylabel(f"|{label.split(' (')[0]}| (deg)")
+        axis.set_ylabel(f"|{label}| (deg)")
         axis.grid(alpha=0.3, which="both")
         axis.legend(loc="upper right", fontsize="small")
     axes[-1].set_xlabel("time (s)")

@@ -42,7 +42,7 @@ class Solution(eqx.Module):
             With s the eigenvalues of ``sum a a^T`` over the k noise-free vectors a: 4 (s2 + s3) / (8 k sd^2) > 1.
         eigengap: (K,) relative gap of the 4x4 problem (0 where the method has none); it measures aid noise early on.
         residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0.
-        weight: (K,) of that pair; 0 where the aid is missing.
+        weight: (K,) of that pair; 0 where there is none (aid missing here or at the other end of a window).
         alpha: (K, 3) the vector in n0, m/s.
         beta: (K, 3) the vector in b0, m/s, after reconstruction.
         sd: (K, 3) standard deviations of the error in n (east, north, up), rad, where the method knows them; else None.

@@ -163,7 +163,7 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         if error is not None:
             rows[-1].append(f"{error[k, 2]:.3f}")
     if error is not None:
-        head.append("yaw error deg")
+        head.append("heading error deg")
     out += [table(head, rows).replace("nan", " - "), ""]
 
     if status[-1] & Status.NON_FINITE:
@@ -173,7 +173,7 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         out.append(f"heading observable from {time[seen[0]]:g} s on, as far as the noise of the aid is concerned")
     else:
         out.append("heading NOT observable: the directions never open beyond the noise of the aid; pitch and roll only")
-    used = (status & (Status.AID_MISSING | Status.UNDEFINED)) == 0
+    used = (numbers["weight"] > 0) & ((status & Status.UNDEFINED) == 0)
     if used.any():
         size = np.linalg.norm(numbers["residual"][used], axis=1) / np.sqrt(3)
         out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s")
@@ -188,7 +188,7 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         out.append(f"aid missing at {lost} of {len(time)} epochs: skipped and bridged")
     if error is not None:
         e, n, u = error[-1]
-        out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, up (yaw) {u:.3f} deg")
+        out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")
     pitch, roll, _ = numbers["euler_deg"][-1]
     out.append(f"at {time[-1]:g} s: pitch {pitch:.4f} deg, roll {roll:.4f} deg, heading {numbers['heading_deg'][-1]:.3f} deg")
     return out

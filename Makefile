@@ -1,0 +1,52 @@
+# Two commands do all set-up: `make run` (the main job) and `make test` (the tests).
+# PYTHON may name another interpreter: make test PYTHON=python3.12
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+WORKERS ?= 2
+
+.PHONY: help run test test-slow test-all lint types bench tables clean
+
+help:
+	@echo "make run       set up, simulate a vehicle, align it with two methods, print a table, write out/dvl-sturn.png"
+	@echo "make test      set up, run the tests (not those marked slow)"
+	@echo "make test-slow the tests marked slow;  make test-all  both"
+	@echo "make lint      ruff (check and format)        make types     pyright"
+	@echo "make bench     speed and memory into benchmarks/results.md"
+	@echo "make tables    the tables of experiments/ (needs the logs: JAXALIGN_SHARED=folder)"
+	@echo "make clean     remove what the above have made, but the environment"
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "jaxalign needs Python 3.11 or newer: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+run: $(STAMP)
+	$(BIN)/python -m experiments.demo --out out
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS) -m slow
+
+test-all: test test-slow
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/pyright
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks.single
+
+tables: $(STAMP)
+	$(BIN)/python -m experiments.real_logs
+
+clean:
+	rm -rf out dist .pytest_cache .ruff_cache .hypothesis .benchmarks
