@@ -33,7 +33,7 @@ def reference_at(log: Log, time: np.ndarray) -> np.ndarray | None:
 def attitude_error_deg(solution: Solution, log: Log) -> np.ndarray | None:
     """phi (K, 3) in degrees, east, north, up, with ``C_est = (I - [phi x]) C_true``; None without a reference.
 
-    The up component is the yaw error with its sign turned as in the literature: phi_U > 0 is a yaw too small.
+    To first order the up component is the error of the heading (clockwise): the yaw error with its sign turned.
     """
     reference = reference_at(log, np.asarray(solution.time))
     if reference is None:
