@@ -4,7 +4,8 @@ Conventions, once for the whole library:
 
 - n is East-North-Up, b right-forward-up, i inertial; n0 and b0 are n and b frozen at t = 0. ``C_ab`` and ``q_ab`` map
   vectors of b into a; quaternions are Hamilton, scalar first.
-- ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``, yaw counter-clockwise from north; ``heading`` is clockwise from north, 0..360 deg, for people.
+- ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``, yaw counter-clockwise from north; ``heading`` is clockwise from north, 0..360
+  deg, for people.
 - Attitude errors are phi in n with ``C_est = (I - [phi x]) C_true``.
 - SI units and radians inside; degrees, deg/h, ug only at the edges, with ``_deg`` and the like in the name.
 - Forward-right-down and North-East-Down data are turned once, in the reader.

@@ -15,8 +15,8 @@ def white_noise_sd(alpha: np.ndarray, beta: np.ndarray, valid: np.ndarray) -> fl
     """Standard deviation per axis (m/s) of the white part of ``alpha - C beta``.
 
     C is fitted to all vectors; third differences over time then remove what is smooth (the error of C, biases, slow
-    errors of the aid), and the median keeps outliers out. For a standing vehicle it is the white part of the velocity that the
-    accelerometers integrate.
+    errors of the aid), and the median keeps outliers out. For a standing vehicle it is the white part of the velocity
+    that the accelerometers integrate.
 
     Args:
         alpha: (K, 3) vectors in n0, m/s, integrated over the whole time.

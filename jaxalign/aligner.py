@@ -12,11 +12,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.aid_noise import white_noise_sd
 from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, epochs_from_log, require_x64
+from jaxalign.epochs import Epoch, Epochs, epochs_from_log
 from jaxalign.errors import UserError
 from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
+from jaxalign.precision import require_x64
 from jaxalign.reconstruct import AbstractReconstruct, Measured
 from jaxalign.solution import Solution, Status
 from jaxalign.spread import Spread
@@ -141,7 +142,7 @@ class Aligner(eqx.Module):
             (~state.aided, Status.AID_MISSING),
             (~finite, Status.NON_FINITE),
         )
-        status = sum(jnp.where(condition, jnp.int32(bit), jnp.int32(0)) for condition, bit in bits)
+        status = sum((jnp.where(condition, jnp.int32(bit), 0) for condition, bit in bits), jnp.int32(0))
         row = Solution(
             time=state.time,
             q_nb=q_nb.array,
@@ -247,19 +248,20 @@ def align(method: Any, log: Log | Epochs, every: int = 1) -> Solution:
     """Align a log with a method.
 
     Args:
-        method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``epochs(log)`` and
-            ``solve(epochs, every)``.
+        method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``epochs(log)``
+            and ``solve(epochs, every)``.
         log: a checked log (host), or Epochs (also inside jit, vmap, grad).
         every: epochs between two read-outs. The eigenproblem costs more than all the rest of a step; between read-outs
             feedback of the attitude (transport rate, residual weights) uses the last one. Rows come at epoch 0, at each
             ``every``-th epoch and at the last one.
 
     Returns:
-        A :class:`Solution`. Where a log does not state the noise of the aid that the method observes, it is estimated from the log
-        (:func:`estimate_aid_sd`); ``Solution.aid_sd`` says what was used.
+        A :class:`Solution`. Where a log does not state the noise of the aid that the method observes, it is estimated
+        from the log (:func:`estimate_aid_sd`); ``Solution.aid_sd`` says what was used.
 
     Raises:
-        UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be estimated.
+        UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be
+            estimated.
     """
     if every < 1 or every != int(every):
         raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")

@@ -118,14 +118,10 @@ def velocity(name: str, aid: str, value: Any, epochs: int) -> np.ndarray | None:
     """(M+1, 3) for an aid, with NaN for what is missing but not everywhere; None for "static"."""
     if aid == "static":
         if value is not None:
-            raise UserError(
-                f"{name}: a static log has no aid velocity: give None, or aid = 'nav' for measured zeros"
-            )
+            raise UserError(f"{name}: a static log has no aid velocity: give None, or aid = 'nav' for measured zeros")
         return None
     if value is None:
-        raise UserError(
-            f"{name}: aid is {aid!r} but there is no velocity: ({epochs + 1}, 3) in m/s is expected"
-        )
+        raise UserError(f"{name}: aid is {aid!r} but there is no velocity: ({epochs + 1}, 3) in m/s is expected")
     array = _floats(name, "velocity", value, f"({epochs + 1}, 3)")
     if array.shape != (epochs + 1, 3):
         raise UserError(
@@ -134,13 +130,10 @@ def velocity(name: str, aid: str, value: Any, epochs: int) -> np.ndarray | None:
         )
     infinite = np.flatnonzero(np.isinf(array).any(axis=1))
     if len(infinite):
-        raise UserError(
-            f"{name}: velocity is infinite at epoch {infinite[0]}: use NaN for a missing aid sample"
-        )
+        raise UserError(f"{name}: velocity is infinite at epoch {infinite[0]}: use NaN for a missing aid sample")
     if np.isnan(array).any(axis=1).all():
         raise UserError(
-            f"{name}: all {epochs + 1} aid velocities are missing (NaN): give some, or align as static (aid "
-            "= 'static')"
+            f"{name}: all {epochs + 1} aid velocities are missing (NaN): give some, or align as static (aid = 'static')"
         )
     return array
 
@@ -149,9 +142,7 @@ def reference(name: str, value: Any, epochs: int) -> np.ndarray:
     """(M+1, 3, 3) rotations, NaN where unknown."""
     array = _floats(name, "C_nb", value, f"({epochs + 1}, 3, 3)")
     if array.shape != (epochs + 1, 3, 3):
-        raise UserError(
-            f"{name}: C_nb has shape {array.shape}: ({epochs + 1}, 3, 3) is expected, one matrix per epoch"
-        )
+        raise UserError(f"{name}: C_nb has shape {array.shape}: ({epochs + 1}, 3, 3) is expected, one matrix per epoch")
     known = np.flatnonzero(~np.isnan(array).any(axis=(1, 2)))
     rotations = array[known]
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))

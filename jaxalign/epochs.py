@@ -9,15 +9,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
 from jaxalign.log import Log
+from jaxalign.precision import require_x64
 from jaxalign.preintegrate import Increment, Scheme, preintegrate
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["Aid", "Epoch", "Epochs", "epochs_from_arrays", "epochs_from_log", "require_x64"]
+__all__ = ["Aid", "Epoch", "Epochs", "epochs_from_arrays", "epochs_from_log"]
 
 Aid = Literal["static", "body", "nav"]
 
@@ -78,26 +80,6 @@ class Epochs(eqx.Module):
         return self.rows.dt.shape[-1]
 
 
-def require_x64(*trees) -> None:
-    """Refuse float32: alignment senses 7e-5 rad/s, and float32 integration alone loses degrees of heading.
-
-    Raises:
-        UserError: if JAX runs in float32 or an array of the trees is float32; the message says how to mend it.
-    """
-    if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        raise UserError(
-            "JAX runs in float32 here, in which alignment loses degrees of heading: call "
-            'jax.config.update("jax_enable_x64", True) before building anything, or set JAX_ENABLE_X64=1'
-        )
-    for path, leaf in (item for tree in trees for item in jax.tree_util.tree_leaves_with_path(tree)):
-        dtype = getattr(leaf, "dtype", None)
-        if dtype is not None and jnp.issubdtype(dtype, jnp.floating) and dtype != jnp.float64:
-            raise UserError(
-                f"{jax.tree_util.keystr(path) or 'the input'} is {dtype}: alignment needs float64; enable x64 "
-                '(jax.config.update("jax_enable_x64", True)) before building it and pass float64 arrays'
-            )
-
-
 @partial(jax.jit, static_argnames=("every", "scheme"))
 def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
     moved = preintegrate(dtheta, dvel, every, scheme)
@@ -109,9 +91,9 @@ def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
 
 
 def epochs_from_arrays(
-    dtheta: Float[Array, "samples 3"],
-    dvel: Float[Array, "samples 3"],
-    velocity: Float[Array, "epochs 3"] | None,
+    dtheta: Float[ArrayLike, "samples 3"],
+    dvel: Float[ArrayLike, "samples 3"],
+    velocity: Float[ArrayLike, "epochs 3"] | None,
     *,
     dt: float,
     every: int,
@@ -133,11 +115,10 @@ def epochs_from_arrays(
         aid_sd: noise of the aid, m/s.
         scheme: of the preintegration.
     """
-    intervals = dtheta.shape[0] // every
-    if velocity is None:
-        velocity = jnp.zeros((intervals + 1, 3))
-    if velocity.shape[0] != intervals + 1:
-        raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {velocity.shape[0]}")
+    intervals = len(jnp.asarray(dtheta)) // every
+    velocity = jnp.zeros((intervals + 1, 3)) if velocity is None else jnp.asarray(velocity)
+    if len(velocity) != intervals + 1:
+        raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {len(velocity)}")
     rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
     return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, float(every * dt))
 
@@ -160,14 +141,16 @@ def epochs_from_log(
     require_x64()
     every = interval_samples or log.aid_every
     if every < 1 or len(log.dtheta) // every < 1:
-        raise UserError(f"interval_samples = {every}: must be between 1 and the {len(log.dtheta)} samples of {log.name}")
+        raise UserError(
+            f"interval_samples = {every}: must be between 1 and the {len(log.dtheta)} samples of {log.name}"
+        )
     if static or log.velocity is None:
         velocity, aid = None, "static"
     else:
         velocity, aid = log.velocity, log.aid
         if log.aid_every % every:
             raise UserError(
-                f"interval_samples = {every} does not divide the {log.aid_every} IMU samples between two fixes of {log.name}"
+                f"interval_samples = {every} must divide the {log.aid_every} IMU samples between fixes of {log.name}"
             )
         if every != log.aid_every:
             ratio = log.aid_every // every

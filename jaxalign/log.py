@@ -71,28 +71,19 @@ class Log:
         name = self.name
         if self.aid not in AIDS:
             raise UserError(f"{name}: aid is {self.aid!r}: it must be one of {', '.join(AIDS)}")
-        put(
-            **{
-                key: checks.finite_number(name, key, getattr(self, key))
-                for key in ("dt", "lat", "lon", "h", "t0")
-            }
-        )
+        put(**{key: checks.finite_number(name, key, getattr(self, key)) for key in ("dt", "lat", "lon", "h", "t0")})
         checks.check_rate(name, self.dt)
         checks.check_site(name, self.lat, self.lon, self.h)
         put(aid_every=checks.whole_number(name, "aid_every", self.aid_every))
         for key in ("dtheta", "dvel"):
             put(**{key: checks.increments(name, key, getattr(self, key), self.dt)})
         if len(self.dtheta) != len(self.dvel):
-            raise UserError(
-                f"{name}: dtheta has {len(self.dtheta)} rows, dvel {len(self.dvel)}: they must be equal"
-            )
+            raise UserError(f"{name}: dtheta has {len(self.dtheta)} rows, dvel {len(self.dvel)}: they must be equal")
         checks.check_length(name, self.epochs, self.aid_every * self.dt)
         if self.aid_sd is not None:
             put(aid_sd=checks.finite_number(name, "aid_sd", self.aid_sd))
             if self.aid_sd <= 0:
-                raise UserError(
-                    f"{name}: aid_sd is {self.aid_sd:g}: a standard deviation (m/s) must be positive"
-                )
+                raise UserError(f"{name}: aid_sd is {self.aid_sd:g}: a standard deviation (m/s) must be positive")
         put(velocity=checks.velocity(name, self.aid, self.velocity, self.epochs))
         if self.C_nb is not None:
             put(C_nb=checks.reference(name, self.C_nb, self.epochs))
@@ -140,9 +131,7 @@ class Log:
         end = self.duration if end is None else checks.finite_number(self.name, "end", end)
         for key, value in (("start", start), ("end", end)):
             if not -0.5 * interval <= value <= self.duration + 0.5 * interval:
-                raise UserError(
-                    f"{self.name}: {key} is {value:g} s, but the log runs from 0 to {self.duration:g} s"
-                )
+                raise UserError(f"{self.name}: {key} is {value:g} s, but the log runs from 0 to {self.duration:g} s")
         if start >= end:
             raise UserError(f"{self.name}: start {start:g} s is not before end {end:g} s")
         first, last = (min(max(round(x / interval), 0), self.epochs) for x in (start, end))

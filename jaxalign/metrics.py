@@ -31,7 +31,7 @@ def reference_at(log: Log, time: np.ndarray) -> np.ndarray | None:
 
 
 def attitude_error_deg(solution: Solution, log: Log) -> np.ndarray | None:
-    """phi (K, 3) in degrees, east, north, up, with ``C_est = (I - [phi x]) C_true``; None without a reference.
+    """Phi (K, 3) in degrees, east, north, up, with ``C_est = (I - [phi x]) C_true``; None without a reference.
 
     To first order the up component is the error of the heading (clockwise): the yaw error with its sign turned.
     """

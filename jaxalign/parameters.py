@@ -69,10 +69,14 @@ def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:
         return value
     if isinstance(old, jax.Array):
         if isinstance(value, bool | str) or value is None or np.shape(value) != old.shape:
-            raise UserError(f"{path} = {text!r}: must be a number" + (f" (array of shape {old.shape})" if old.ndim else ""))
+            raise UserError(
+                f"{path} = {text!r}: must be a number" + (f" (array of shape {old.shape})" if old.ndim else "")
+            )
         low, high = field.metadata.get("bounds", (-np.inf, np.inf))
         if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
-            raise UserError(f"{path} = {text!r}: outside its bounds {low:g} .. {high:g} {field.metadata.get('unit', '')}".rstrip())
+            raise UserError(
+                f"{path} = {text!r}: outside its bounds {low:g} .. {high:g} {field.metadata.get('unit', '')}".rstrip()
+            )
         return as_float64(value)
     if isinstance(old, str):
         return str(value)

@@ -93,26 +93,22 @@ def axis_warnings(dtheta: np.ndarray, dvel: np.ndarray, dt: float) -> list[str]:
     _, axis = mean_force_axis(dvel, dt)
     if axis == "-z":
         found.append(
-            "mean specific force is along -z: forward-right-down data? Turn it to right-forward-up (CSV: "
-            "frame)"
+            "mean specific force is along -z: forward-right-down data? Turn it to right-forward-up (CSV: frame)"
         )
     elif axis not in ("+z", "none"):
         which = _AXES["xyz".index(axis[1])]
         sign = "" if axis[0] == "+" else "minus "
         found.append(
-            f"mean specific force is along {axis}, {sign}{which}, not +z: swapped axes, or a vehicle on its "
-            "side?"
+            f"mean specific force is along {axis}, {sign}{which}, not +z: swapped axes, or a vehicle on its side?"
         )
     ratio = median_force(dvel, dt) / STANDARD_GRAVITY
     if abs(ratio - 1.0) > 0.05:
         found.append(
-            f"median |f| is {100 * (ratio - 1):+.0f} % off gravity: accelerometer scale, or steady "
-            "acceleration?"
+            f"median |f| is {100 * (ratio - 1):+.0f} % off gravity: accelerometer scale, or steady acceleration?"
         )
     if any(rho < 0 and rho**2 > _SURE for rho, _ in _tilting(dtheta, dvel, dt)):
         found.append(
-            "gyroscopes turn against the tilting that the accelerometers see: a sign or axes differ "
-            "between the two"
+            "gyroscopes turn against the tilting that the accelerometers see: a sign or axes differ between the two"
         )
     return found
 
@@ -154,8 +150,7 @@ def check_gyro_units(
             factor = 1.0
     if factor < 1.0:
         raise UserError(
-            f"{name}: gyro rates are about 57.3 times too large for {witness}: deg/s given as rad/s? "
-            "multiply by pi/180"
+            f"{name}: gyro rates are about 57.3 times too large for {witness}: deg/s given as rad/s? multiply by pi/180"
         )
     if factor > 1.0:
         raise UserError(
@@ -286,6 +281,4 @@ def _rotations(vectors: np.ndarray) -> np.ndarray:
     cross = np.zeros((len(vectors), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
-    return (
-        np.eye(3) + np.sinc(size / np.pi) * cross + 0.5 * np.sinc(0.5 * size / np.pi) ** 2 * (cross @ cross)
-    )
+    return np.eye(3) + np.sinc(size / np.pi) * cross + 0.5 * np.sinc(0.5 * size / np.pi) ** 2 * (cross @ cross)

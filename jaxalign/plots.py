@@ -109,7 +109,10 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
     size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
     axes[last].semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
     axes[last].axhline(
-        float(numbers["aid_sd"]), color=_GREY, linestyle=":", label=f"white noise\n{float(numbers['aid_sd']):.2g} m/s"
+        float(numbers["aid_sd"]),
+        color=_GREY,
+        linestyle=":",
+        label=f"white noise\n{float(numbers['aid_sd']):.2g} m/s",
     )
     axes[last].set_ylabel("residual (m/s)")
     axes[last].set_xlabel("time (s)")

@@ -141,8 +141,6 @@ def preintegrate(
     half = every // 2
     if 2 * half != every:
         raise ValueError(f"scheme {scheme!r} halves the interval: {every} samples cannot be halved")
-    first, second = (
-        jax.tree.map(lambda x: x.sum(axis=0), take(a, b)) for a, b in ((0, half), (half, every))
-    )
+    first, second = (jax.tree.map(lambda x: x.sum(axis=0), take(a, b)) for a, b in ((0, half), (half, every)))
     whole = (_pair if scheme == "interval" else _plain_pair)(*first, *second)
     return Increment(whole.rotation.unit(), whole.dvel)

@@ -9,6 +9,7 @@ in rad of ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``, n = East-North-Up, b = right-fo
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxalign.vector import Quat, Vec3
@@ -30,37 +31,37 @@ __all__ = [
 ]
 
 
-def quat_multiply(p: Float[Array, "*s 4"], q: Float[Array, "*s 4"]) -> Float[Array, "*s 4"]:
+def quat_multiply(p: Float[ArrayLike, "*s 4"], q: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 4"]:
     """Quaternion product ``p q``: ``q_ab q_bc = q_ac``."""
     return (Quat.of(p) * Quat.of(q)).array
 
 
-def quat_conjugate(q: Float[Array, "*s 4"]) -> Float[Array, "*s 4"]:
+def quat_conjugate(q: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 4"]:
     """The inverse of a unit quaternion."""
     return Quat.of(q).conjugate().array
 
 
-def quat_rotate(q: Float[Array, "*s 4"], v: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+def quat_rotate(q: Float[ArrayLike, "*s 4"], v: Float[ArrayLike, "*s 3"]) -> Float[Array, "*s 3"]:
     """Map a vector: ``q_ab`` takes components in b to components in a."""
     return Quat.of(q).rotate(Vec3.of(v)).array
 
 
-def quat_from_rotvec(rotvec: Float[Array, "*s 3"]) -> Float[Array, "*s 4"]:
+def quat_from_rotvec(rotvec: Float[ArrayLike, "*s 3"]) -> Float[Array, "*s 4"]:
     """Quaternion of a rotation vector (rad)."""
     return Quat.exp(Vec3.of(rotvec)).array
 
 
-def rotvec_from_quat(q: Float[Array, "*s 4"]) -> Float[Array, "*s 3"]:
+def rotvec_from_quat(q: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 3"]:
     """Rotation vector (rad, length at most pi) of a unit quaternion."""
     return Quat.of(q).log().array
 
 
-def dcm_from_quat(q: Float[Array, "*s 4"]) -> Float[Array, "*s 3 3"]:
+def dcm_from_quat(q: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 3 3"]:
     """Direction cosine matrix of a unit quaternion."""
     return Quat.of(q).matrix.array
 
 
-def quat_from_dcm(dcm: Float[Array, "*s 3 3"]) -> Float[Array, "*s 4"]:
+def quat_from_dcm(dcm: Float[ArrayLike, "*s 3 3"]) -> Float[Array, "*s 4"]:
     """Unit quaternion (scalar part >= 0) of a direction cosine matrix.
 
     Of the four ways to extract it, the one with the largest pivot is taken, so that no case divides by a small
@@ -85,12 +86,12 @@ def quat_from_dcm(dcm: Float[Array, "*s 3 3"]) -> Float[Array, "*s 4"]:
     return Quat.of(q).unit().positive().array
 
 
-def dcm_from_euler(euler: Float[Array, "*s 3"]) -> Float[Array, "*s 3 3"]:
+def dcm_from_euler(euler: Float[ArrayLike, "*s 3"]) -> Float[Array, "*s 3 3"]:
     """C_nb of (pitch, roll, yaw) in rad."""
     return dcm_from_quat(quat_from_euler(euler))
 
 
-def quat_from_euler(euler: Float[Array, "*s 3"]) -> Float[Array, "*s 4"]:
+def quat_from_euler(euler: Float[ArrayLike, "*s 3"]) -> Float[Array, "*s 4"]:
     """q_nb of (pitch, roll, yaw) in rad."""
     half = jnp.asarray(euler) / 2
     c, s = Vec3.of(jnp.cos(half)), Vec3.of(jnp.sin(half))
@@ -98,30 +99,35 @@ def quat_from_euler(euler: Float[Array, "*s 3"]) -> Float[Array, "*s 4"]:
     return (Quat(c.z, zero, zero, s.z) * Quat(c.x, s.x, zero, zero) * Quat(c.y, zero, s.y, zero)).array
 
 
-def euler_from_dcm(dcm: Float[Array, "*s 3 3"]) -> Float[Array, "*s 3"]:
-    """(pitch, roll, yaw) in rad of C_nb; at a pitch of +-90 deg roll and yaw are not separable."""
+def euler_from_dcm(dcm: Float[ArrayLike, "*s 3 3"]) -> Float[Array, "*s 3"]:
+    """(pitch, roll, yaw) in rad of C_nb; at a pitch of +-90 deg only together are roll and yaw determined.
+
+    Yaw is read after roll has been turned back, so that the three give C_nb back at every pitch.
+    """
     m = jnp.asarray(dcm)
     flat = m[..., 2, 0] ** 2 + m[..., 2, 2] ** 2
     level = flat > 0
     cos_pitch = jnp.where(level, jnp.sqrt(jnp.where(level, flat, 1.0)), 0.0)
     pitch = jnp.arctan2(m[..., 2, 1], cos_pitch)
     roll = jnp.arctan2(-m[..., 2, 0], jnp.where(level, m[..., 2, 2], 1.0))
-    yaw = jnp.arctan2(-m[..., 0, 1], jnp.where(level, m[..., 1, 1], 1.0))
+    c, s = jnp.cos(roll)[..., None], jnp.sin(roll)[..., None]
+    east = m[..., :2, 0] * c + m[..., :2, 2] * s  # first column of C_nb Ry(roll)^T = Rz(yaw) Rx(pitch)
+    yaw = jnp.arctan2(east[..., 1], east[..., 0])
     return jnp.stack([pitch, roll, yaw], axis=-1)
 
 
-def euler_from_quat(q: Float[Array, "*s 4"]) -> Float[Array, "*s 3"]:
+def euler_from_quat(q: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 3"]:
     """(pitch, roll, yaw) in rad of q_nb."""
     return euler_from_dcm(dcm_from_quat(q))
 
 
-def heading_deg(yaw: Float[Array, "*s"]) -> Float[Array, "*s"]:
+def heading_deg(yaw: Float[ArrayLike, "*s"]) -> Float[Array, "*s"]:
     """Heading, clockwise from north, 0 <= heading < 360 deg, of a yaw in rad."""
     heading = jnp.mod(-jnp.rad2deg(yaw), 360.0)
     return jnp.where(heading >= 360.0, 0.0, heading)  # mod of a tiny negative number rounds to 360
 
 
-def attitude_error(q_est: Float[Array, "*s 4"], q_true: Float[Array, "*s 4"]) -> Float[Array, "*s 3"]:
+def attitude_error(q_est: Float[ArrayLike, "*s 4"], q_true: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 3"]:
     """Error phi (rad, in n: east, north, up) with ``C_est = exp(-[phi x]) C_true``.
 
     To first order this is the ``C_est = (I - [phi x]) C_true`` of the literature; the logarithm keeps it exact

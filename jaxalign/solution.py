@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import IntFlag
 
 import equinox as eqx
-import jax
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.rotation import dcm_from_quat, euler_from_quat, heading_deg
@@ -31,8 +31,8 @@ class Solution(eqx.Module):
     """Attitudes at the read-out epochs, and how far to trust them. A pytree; leaves may have leading batch axes.
 
     Inside traced code every number is finite: where there is no attitude yet, ``q_nb`` is the identity
-    and ``defined`` is False, so that a masked loss has a clean gradient. The properties ``C_nb``, ``euler_deg``, ``heading_deg`` and
-    :meth:`to_numpy` are for people, on the host: NaN where there is no attitude.
+    and ``defined`` is False, so that a masked loss has a clean gradient. The properties ``C_nb``, ``euler_deg``,
+    ``heading_deg`` and :meth:`to_numpy` are for people, on the host: NaN where there is no attitude.
 
     Attributes:
         time: (K,) s since epoch 0.
@@ -63,11 +63,10 @@ class Solution(eqx.Module):
     status: Int[Array, " K"]
     aid_sd: Float[Array, ""]
 
-    def _masked(self, values: jax.Array) -> np.ndarray:
-        defined = np.asarray(self.defined)
-        values = np.array(values)
-        values[~defined] = np.nan
-        return values
+    def _masked(self, values: ArrayLike) -> np.ndarray:
+        out = np.array(values)
+        out[~np.asarray(self.defined)] = np.nan
+        return out
 
     @property
     def C_nb(self) -> np.ndarray:

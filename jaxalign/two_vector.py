@@ -76,7 +76,10 @@ class _Record(eqx.Module):
         angle = earth_rate(site.lat) * time
         up = mean_rotated(angle, Vec3(0.0 * time, 0.0 * time, site.gravity * time))
         beta = running(before.rotate(rows.dvel))
-        return cls(time, q_b0b, Quat.exp(angle), up, beta, running(rows.rotation.log()), running(rows.dvel))
+        turned = rows.rotation.log()
+        # An interval's dvel stands in b at its start; half the rotation back makes it the mean over the interval.
+        force = Quat.exp(turned * -0.5).rotate(rows.dvel)
+        return cls(time, q_b0b, Quat.exp(angle), up, beta, running(turned), running(force))
 
     def at(self, index: Any) -> _Record:
         """Some epochs of it."""
@@ -157,8 +160,8 @@ class MeanTriad(AbstractRecordMethod):
     Attributes:
         interval_samples: IMU samples per epoch; None: as the log has it.
 
-    Source: 003 (1)-(5). Deviations: specific force (up), not gravity; TRIAD with the force primary instead of the printed matrix,
-    whose orthonormalisation puts half of the up gyro's bias over the Earth rate into the level angles.
+    Source: 003 (1)-(5). Deviations: specific force (up), not gravity; TRIAD with the force primary instead of
+    the printed matrix, whose orthonormalisation puts half of the up gyro's bias over the Earth rate into the level.
     """
 
     interval_samples: int | None = optional_count()
@@ -180,14 +183,15 @@ class DualVector(AbstractRecordMethod):
     """Gravity in inertial space at two times, seen by the accelerometers in b0: TRIAD, the newest vector exact.
 
     Attributes:
-        vectors: "hann" (default): force averaged with Hann windows over the first and the last part of the record, which on a
-            disturbed base beats every prefilter with a boxcar; "boxcar": plain means over the same parts (003's inertial-frame
-            method); "halves": velocities V(t/2), V(t) (002); "ends": force in the first and the last interval (002).
+        vectors: "hann" (default): force averaged with Hann windows over the first and the last part of the record,
+            which on a disturbed base beats every prefilter with a boxcar; "boxcar": plain means over the same parts
+            (003's inertial-frame method); "halves": velocities V(t/2), V(t) (002); "ends": force in the first and the
+            last interval (002).
         fraction: length of a part, as a fraction of the record.
         interval_samples: IMU samples per epoch; None: as the log has it.
 
-    With windows every read-out sums its own parts: K read-outs of M epochs cost K M operations; on long logs at short intervals read
-    out sparsely.
+    With windows every read-out sums its own parts: K read-outs of M epochs cost K M operations; on long logs at short
+    intervals read out sparsely.
 
     Source: 002's comparison methods [8-12], 003's inertial-frame coarse alignment; windows ours.
     """

@@ -2,8 +2,8 @@
 
 The recursions of the library run for thousands of runs at a time. With each component an array of its own
 (one number per run), XLA fuses a whole step into one loop over the runs; with the components on a trailing
-axis of length 3 or 4 it does not, and the same step takes more than twice as long. Components may have any common shape:
-scalars inside a step, ``(runs,)`` under ``vmap``, ``(intervals,)`` in the preintegration.
+axis of length 3 or 4 it does not, and the same step takes more than twice as long. Components may have any common
+shape: scalars inside a step, ``(runs,)`` under ``vmap``, ``(intervals,)`` in the preintegration.
 
 Quaternions are Hamilton, scalar first; ``q.rotate(v)`` is ``q v q*``: with ``q = q_ab`` it maps b into a.
 """
@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 __all__ = ["Mat3", "Quat", "Vec3", "mean_rotated", "where"]
@@ -50,10 +51,10 @@ class Vec3:
         return cls(_zero(), _zero(), _zero())
 
     @classmethod
-    def of(cls, array: Float[Array, "*shape 3"]) -> Vec3:
+    def of(cls, array: Float[ArrayLike, "*shape 3"]) -> Vec3:
         """Take the components from the last axis of an array."""
-        array = jnp.asarray(array)
-        return cls(array[..., 0], array[..., 1], array[..., 2])
+        a = jnp.asarray(array)
+        return cls(a[..., 0], a[..., 1], a[..., 2])
 
     @property
     def array(self) -> Float[Array, "*shape 3"]:
@@ -124,7 +125,8 @@ def _sinc_like(angle2: Any, exact: Any, series: tuple[float, ...]) -> Any:
 def mean_rotated(rotvec: Vec3, v: Vec3) -> Vec3:
     """The mean of ``exp([r x]) v`` as r goes evenly from zero to ``rotvec`` (rad)."""
     angle2 = rotvec.norm2()
-    first = _sinc_like(angle2, lambda a: (1 - jnp.cos(a)) / a**2, (1 / 2, -1 / 24, 1 / 720))
+    # 1 - cos(a) = 2 sin^2(a/2) without the cancellation: the plain form errs by 6e-14 |v| at 1e-3 rad
+    first = _sinc_like(angle2, lambda a: 2 * (jnp.sin(a / 2) / a) ** 2, (1 / 2, -1 / 24, 1 / 720))
     second = _sinc_like(angle2, lambda a: (a - jnp.sin(a)) / a**3, (1 / 6, -1 / 120, 1 / 5040))
     turned = rotvec.cross(v)
     return v + turned * first + rotvec.cross(turned) * second
@@ -148,10 +150,10 @@ class Quat:
         return cls(_one(), _zero(), _zero(), _zero())
 
     @classmethod
-    def of(cls, array: Float[Array, "*shape 4"]) -> Quat:
+    def of(cls, array: Float[ArrayLike, "*shape 4"]) -> Quat:
         """Take the components from the last axis of an array."""
-        array = jnp.asarray(array)
-        return cls(array[..., 0], array[..., 1], array[..., 2], array[..., 3])
+        a = jnp.asarray(array)
+        return cls(a[..., 0], a[..., 1], a[..., 2], a[..., 3])
 
     @classmethod
     def exp(cls, rotvec: Vec3) -> Quat:

@@ -45,7 +45,14 @@ def epochs(log: Log, scheme: str, method) -> Epochs:
     slot = getattr(method, "observe", method)
     if slot.interval_samples and method.aid == "static":
         return epochs_from_arrays(
-            log.dtheta, log.dvel, None, dt=log.dt, every=slot.interval_samples, site=site, aid="static", scheme=scheme
+            log.dtheta,
+            log.dvel,
+            None,
+            dt=log.dt,
+            every=slot.interval_samples,
+            site=site,
+            aid="static",
+            scheme=scheme,
         )
     made = epochs_from_log(log, scheme=scheme, static=method.aid == "static")
     import equinox as eqx

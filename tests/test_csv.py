@@ -145,9 +145,7 @@ def test_resampling_keeps_the_total(seed, jitter, offset):
 def test_increments_on_their_own_clock_pass_untouched(tmp_path):
     rng = np.random.default_rng(2)
     t = np.arange(1, 1001) * 0.01
-    x = np.column_stack(
-        [1e-4 * rng.standard_normal((1000, 3)), [0, 0, 0.098] + 1e-3 * rng.standard_normal((1000, 3))]
-    )
+    x = np.column_stack([1e-4 * rng.standard_normal((1000, 3)), [0, 0, 0.098] + 1e-3 * rng.standard_normal((1000, 3))])
     path = table(tmp_path / "imu.csv", ["t", "wx", "wy", "wz", "fx", "fy", "fz"], [t, x])
     table(tmp_path / "dvl.csv", ["t", "vx", "vy", "vz"], [np.arange(11.0), np.ones((11, 3))])
     spec = changed(MAP, "imu", kind="increment", gyro_unit="rad", accel_unit="m/s")
@@ -162,9 +160,7 @@ def test_a_short_loss_is_bridged_and_told(tmp_path, kind):
     n = len(t)
     size = 1.0 if kind == "rate" else 0.01  # an increment is over one sample, also after a gap
     names = ["t", "wx", "wy", "wz", "fx", "fy", "fz"]
-    path = table(
-        tmp_path / "imu.csv", names, [t, np.tile(RATE * size, (n, 1)), np.tile(FORCE * size, (n, 1))]
-    )
+    path = table(tmp_path / "imu.csv", names, [t, np.tile(RATE * size, (n, 1)), np.tile(FORCE * size, (n, 1))])
     table(tmp_path / "dvl.csv", ["t", "vx", "vy", "vz"], [np.arange(11.0), np.ones((11, 3))])
     spec = changed(
         MAP, "imu", **({"kind": kind, "gyro_unit": "rad", "accel_unit": "m/s"} if kind == "increment" else {})

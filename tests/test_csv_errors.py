@@ -109,9 +109,7 @@ def test_a_nan_run_is_measured(files):
 def test_a_gap_is_refused(files):
     for _ in range(4):
         edit(files, 52, None)
-    refused(
-        files, "gap in the IMU of 0.05 s (4 samples, at most 3) after line 51", "time 0.49 s", columns=MAP
-    )
+    refused(files, "gap in the IMU of 0.05 s (4 samples, at most 3) after line 51", "time 0.49 s", columns=MAP)
 
 
 def test_too_short_and_empty_files(files, tmp_path):

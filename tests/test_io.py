@@ -60,9 +60,7 @@ def test_aid_sd_given_replaces_the_files(tmp_path):
 
 def test_npz_names_all_missing_keys_at_once(tmp_path):
     np.savez(tmp_path / "a.npz", dtheta=np.zeros((9, 3)), aid_frame="body", lat=0.5)
-    refused(
-        tmp_path / "a.npz", "missing dt_imu, dvel, aid_every, lon, h, aid_v;", "a log needs dt_imu, dtheta"
-    )
+    refused(tmp_path / "a.npz", "missing dt_imu, dvel, aid_every, lon, h, aid_v;", "a log needs dt_imu, dtheta")
 
 
 def npz_with(path, **changes):
@@ -185,14 +183,10 @@ def test_psins_errors_name_the_line(tmp_path):
     refused(psins(path, []), "no samples")
     refused(psins(path, [], PSINS_HEADER[:4]), "2 of 3 header lines", "scale factors")
     refused(psins(path, good, [*PSINS_HEADER[:3], "34.5 108.9"]), "line 4", "latitude")
-    refused(
-        psins(path, good, [*PSINS_HEADER[:3], "34.5 108.9 380 0 0 9.78", PSINS_HEADER[4]]), "interval 0 ms"
-    )
+    refused(psins(path, good, [*PSINS_HEADER[:3], "34.5 108.9 380 0 0 9.78", PSINS_HEADER[4]]), "interval 0 ms")
     refused(psins(path, good, [*PSINS_HEADER[:4], "0 1 1 1 1 1"]), "scale factor is zero")
     refused(psins(path, good[:200]), "too short", "2 epoch intervals")
-    refused(
-        psins(path, good, [*PSINS_HEADER[:4], "0.1 0.1 0.1 12.5 12.5 12.5"]), "|f| = 0.978", "expected about"
-    )
+    refused(psins(path, good, [*PSINS_HEADER[:4], "0.1 0.1 0.1 12.5 12.5 12.5"]), "|f| = 0.978", "expected about")
 
 
 def test_psins_equals_its_npz_on_a_real_log(shared):

@@ -174,7 +174,5 @@ def test_wrong_units_and_axes_are_found_on_every_real_log(shared):
             ([2, 0, 1], [1, 1, 1], "along +x"),
             ([0, 2, 1], [1, -1, 1], "along -y"),
         ):
-            turned = dataclasses.replace(
-                log, dtheta=log.dtheta[:, order] * signs, dvel=log.dvel[:, order] * signs
-            )
+            turned = dataclasses.replace(log, dtheta=log.dtheta[:, order] * signs, dvel=log.dvel[:, order] * signs)
             assert [part in text for text in turned.warnings] == [True], (log.name, part)

@@ -180,8 +180,8 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         ratio = float(np.sqrt(np.mean(size**2))) / sd
         if ratio > 3:
             out.append(
-                f"  {ratio:.0f} times the white noise: slow errors (sensor biases, drift of the aid, disturbance) rule; "
-                "the heading is less certain than the noise alone would make it"
+                f"  {ratio:.0f} times the white noise: slow errors rule (sensor biases, drift of the aid, "
+                "disturbance): the heading is less certain than the noise alone would make it"
             )
     lost = int(np.sum((status & Status.AID_MISSING) != 0))
     if lost:
@@ -190,5 +190,7 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         e, n, u = error[-1]
         out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")
     pitch, roll, _ = numbers["euler_deg"][-1]
-    out.append(f"at {time[-1]:g} s: pitch {pitch:.4f} deg, roll {roll:.4f} deg, heading {numbers['heading_deg'][-1]:.3f} deg")
+    out.append(
+        f"at {time[-1]:g} s: pitch {pitch:.4f} deg, roll {roll:.4f} deg, heading {numbers['heading_deg'][-1]:.3f} deg"
+    )
     return out

@@ -15,8 +15,8 @@ from jaxalign.vector import Mat3, Vec3, where
 
 __all__ = ["CentredWahba", "QMethod"]
 
-# Read-outs with a closed Coriolis term repeat the eigenproblem with the new attitude; each pass shrinks its error by about
-# 2 v / (g t cos(lat)): two passes leave 3e-5 deg at 60 s.
+# Read-outs with a closed Coriolis term repeat the eigenproblem with the new attitude; each pass shrinks its error by
+# about 2 v / (g t cos(lat)): two passes leave 3e-5 deg at 60 s.
 _PASSES = 2
 
 
@@ -58,8 +58,8 @@ class QMethod(AbstractEstimate):
     """The attitude that minimises ``sum w |alpha - C beta|^2``.
 
     Attributes:
-        normalise: use unit vectors (equal weights), as several papers do. By default a pair counts by the product of its lengths,
-            which grow with time as their directions become better known.
+        normalise: use unit vectors (equal weights), as several papers do. By default a pair counts by the product of
+            its lengths, which grow with time as their directions become better known.
 
     Source: Davenport; Xu 2020 (21)-(22), Xu 2017 (10)-(12), Huang's q-method (normalised).
     """
@@ -94,9 +94,9 @@ class _Centred(eqx.Module):
 class CentredWahba(AbstractEstimate):
     """The q-method with the first velocity free: it is eliminated by subtracting the weighted means.
 
-    The noise of the one velocity v(0) enters every published vector and rules their error (3.5 times the Cramer-Rao bound
-    in yaw with a DVL). As an unknown offset of all vectors it costs a rank-one downdate of the sums; for white isotropic aid
-    noise the result is the maximum-likelihood estimate. The first epoch counts as an ordinary sample.
+    The noise of the one velocity v(0) enters every published vector and rules their error (3.5 times the Cramer-Rao
+    bound in yaw with a DVL). As an unknown offset of all vectors it costs a rank-one downdate of the sums; for white
+    isotropic aid noise the result is the maximum-likelihood estimate. The first epoch counts as an ordinary sample.
 
     Source: none of the papers; the centred form of Wahba's problem (Kabsch), recursive.
     """

@@ -47,8 +47,7 @@ def read(
     kind = _guess(path) if format == "auto" else format
     if columns is not None and kind != "csv":
         raise UserError(
-            f"{path}: a column map is for CSV files, this one is read as {kind}: leave it out, or give "
-            "format csv"
+            f"{path}: a column map is for CSV files, this one is read as {kind}: leave it out, or give format csv"
         )
     readers = {"npz": read_npz, "psins": read_psins, "csv": lambda path: read_csv(path, columns)}
     log = readers[kind](path)

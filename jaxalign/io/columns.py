@@ -178,8 +178,7 @@ class _Section:
         for key in table:
             if key not in _KEYS[name]:
                 raise UserError(
-                    f"{self.where} unknown key {key!r}{nearest(str(key), _KEYS[name])}; known: "
-                    f"{', '.join(_KEYS[name])}"
+                    f"{self.where} unknown key {key!r}{nearest(str(key), _KEYS[name])}; known: {', '.join(_KEYS[name])}"
                 )
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -193,9 +192,7 @@ class _Section:
     def choice(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
         value = self.text(key, default).replace("²", "^2").replace("s2", "s^2")
         if value not in choices:
-            raise UserError(
-                f"{self.where} {key} is {value!r}{nearest(value, choices)}; known: {', '.join(choices)}"
-            )
+            raise UserError(f"{self.where} {key} is {value!r}{nearest(value, choices)}; known: {', '.join(choices)}")
         return value
 
     def unit(self, key: str, units: Mapping[str, float], default: str | None = None) -> float:
@@ -203,11 +200,7 @@ class _Section:
 
     def three(self, key: str) -> tuple[str, str, str]:
         value = self.table.get(key)
-        if (
-            not isinstance(value, Sequence)
-            or len(value) != 3
-            or not all(isinstance(name, str) for name in value)
-        ):
+        if not isinstance(value, Sequence) or len(value) != 3 or not all(isinstance(name, str) for name in value):
             raise UserError(f"{self.where} {key} is {value!r}: three column names are expected")
         return value[0], value[1], value[2]
 

@@ -68,14 +68,10 @@ def read_csv(
     t = (stamps - stamps[0]) * spec.time_unit
     dt = nominal_interval(t)
     if not 1e-5 <= dt <= 1.0:
-        raise UserError(
-            f"{path}: the IMU's sampling interval is {dt:g} s, expected 1e-5 to 1 s: is time_unit right?"
-        )
+        raise UserError(f"{path}: the IMU's sampling interval is {dt:g} s, expected 1e-5 to 1 s: is time_unit right?")
     warnings = _check_gaps(table, stamps * spec.time_unit, dt)
 
-    x = np.hstack(
-        [_turned(x[:, :3] * spec.gyro_unit, spec.turn), _turned(x[:, 3:] * spec.accel_unit, spec.turn)]
-    )
+    x = np.hstack([_turned(x[:, :3] * spec.gyro_unit, spec.turn), _turned(x[:, 3:] * spec.accel_unit, spec.turn)])
     nodes, sums = cumulate_increments(t, x, dt) if spec.kind == "increment" else cumulate_rates(t, x)
     velocity, sd, kind = None, None, "static"
     if spec.aid is None:
@@ -87,17 +83,14 @@ def read_csv(
         start, end = _overlap(path, nodes, aid_t, dt, float(stamps[0]) * spec.time_unit)
     aid_every = round(interval / dt)
     if aid_every < 1:
-        raise UserError(
-            f"{path}: epochs every {interval:g} s are closer than the IMU samples ({dt:g} s): lengthen it"
-        )
+        raise UserError(f"{path}: epochs every {interval:g} s are closer than the IMU samples ({dt:g} s): lengthen it")
     step = dt if spec.aid is None else interval / aid_every
     count = int(np.floor((end - start) / step + 1e-6))
     if spec.aid is not None:
         count -= count % aid_every
     if count < aid_every:
         raise UserError(
-            f"{path}: too short: IMU and aid have {end - start:g} s in common, not one interval of "
-            f"{interval:g} s"
+            f"{path}: too short: IMU and aid have {end - start:g} s in common, not one interval of {interval:g} s"
         )
     grid = start + step * np.arange(count + 1)
     increments = onto_grid(nodes, sums, grid)
@@ -148,9 +141,7 @@ def _read_aid(imu: Table, spec: ColumnMap, aid: AidColumns, origin: float) -> tu
     return t, _turned(raw[given, 1:] * aid.unit, aid.turn)
 
 
-def _overlap(
-    path: object, nodes: np.ndarray, aid_t: np.ndarray, dt: float, origin: float
-) -> tuple[float, float]:
+def _overlap(path: object, nodes: np.ndarray, aid_t: np.ndarray, dt: float, origin: float) -> tuple[float, float]:
     """Time of epoch 0 and the end of what IMU and aid have in common."""
     inside = (aid_t >= nodes[0] - 1e-6 * dt) & (aid_t <= nodes[-1] + 1e-6 * dt)
     if not inside.any():
@@ -165,9 +156,7 @@ def _overlap(
 def _check_finite(table: Table, name: str, stamps: np.ndarray, unit: float, x: np.ndarray) -> None:
     if not np.isfinite(stamps).all():
         row = int(np.argmin(np.isfinite(stamps)))
-        raise UserError(
-            f"{table.path}: line {table.lines[row]}, column {name!r}: time is not a finite number"
-        )
+        raise UserError(f"{table.path}: line {table.lines[row]}, column {name!r}: time is not a finite number")
     if run := bad_run(x):
         count, first, length = run
         raise UserError(

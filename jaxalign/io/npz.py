@@ -102,9 +102,5 @@ def _load(path: Path) -> dict[str, Any]:
         raise UserError(f"{path}: cannot be read: permission denied") from None
     except ValueError as error:
         raise UserError(f"{path}: not an .npz archive of plain arrays ({first_line(error)})") from None
-    except (
-        Exception
-    ) as error:  # damaged bytes fail in zipfile, zlib, NumPy and its header parser, each in its own way
-        raise UserError(
-            f"{path}: damaged or incomplete .npz archive ({first_line(error)}): make it again"
-        ) from None
+    except Exception as error:  # damaged bytes fail in zipfile, zlib, NumPy and its header parser, each in its own way
+        raise UserError(f"{path}: damaged or incomplete .npz archive ({first_line(error)}): make it again") from None

@@ -51,9 +51,7 @@ def read_psins(path: str | os.PathLike[str], epoch: float = 1.0) -> Log:
             if len(header) == 3:
                 break
     if len(header) < 3:
-        raise UserError(
-            f"{path}: ends after {len(header)} of 3 header lines: {_HEADER[len(header)]} is missing"
-        )
+        raise UserError(f"{path}: ends after {len(header)} of 3 header lines: {_HEADER[len(header)]} is missing")
     _, (lat_deg, lon_deg, h, t0, interval_ms, g), scale = header
     if not 0 < interval_ms <= 1000 or not 9.7 < g < 9.9:
         raise UserError(

@@ -49,8 +49,7 @@ class Table:
         if all(_is_number(cell) for cell in self._split(first)):
             if len(self._split(head.lstrip("# "))) != len(self._split(first)):
                 raise UserError(
-                    f"{self.path}: line {numbers[0]} is numbers: a header line with the column names is "
-                    "expected"
+                    f"{self.path}: line {numbers[0]} is numbers: a header line with the column names is expected"
                 )
         else:
             head = first
@@ -94,8 +93,7 @@ class Table:
         count = self.header.count(name)
         if count == 0:
             raise UserError(
-                f"{self.path}: no column {name!r}{nearest(name, self.header)}; the file has "
-                f"{', '.join(self.header)}"
+                f"{self.path}: no column {name!r}{nearest(name, self.header)}; the file has {', '.join(self.header)}"
             )
         if count > 1:
             raise UserError(f"{self.path}: the column {name!r} is there {count} times: rename them")
@@ -128,8 +126,7 @@ class Table:
                 cell = cells[column]
                 if not _is_number(cell) and not (blank and not cell):
                     raise UserError(
-                        f"{self.path}: line {number}, column {self.header[column]!r}: {cell!r} is not a "
-                        "number"
+                        f"{self.path}: line {number}, column {self.header[column]!r}: {cell!r} is not a number"
                     ) from None
 
 

@@ -49,8 +49,8 @@ class BodyVelocity(AbstractObserve):
         window: length of the window in seconds, 0 for the whole time.
         interval_samples: IMU samples per epoch; None: as the log has it.
 
-    The trapezoid of ``C_b0b v`` bridges missing fixes (2e-6 m/s in beta at 1 Hz; Xu 2020 (12) does the same for a velocity
-    that is linear in b).
+    The trapezoid of ``C_b0b v`` bridges missing fixes (2e-6 m/s in beta at 1 Hz; Xu 2020 (12) does the same for a
+    velocity that is linear in b).
 
     Source: Xu 2020 (5)-(20), Shen 2025 (alpha and beta exchanged there); closed Coriolis and feedback are ours.
     """
@@ -76,9 +76,7 @@ class BodyVelocity(AbstractObserve):
         sums = Sums.zero(moment=self.coupled)
         zero, none, place = Vec3.zero(), Quat.identity(), Place(site)
         held = window(self.window, interval, sums)
-        return _State(
-            none, none, place, zero, zero, sums, held, zero, zero, zero, zero.x, place.earth_rate
-        )
+        return _State(none, none, place, zero, zero, sums, held, zero, zero, zero, zero.x, place.earth_rate)
 
     def _rate(self, s: Any, context: Context, velocity_b0: Vec3, dt: Any) -> tuple[Vec3, Place]:
         """w_in of the interval and the place at its end."""
@@ -116,7 +114,5 @@ class BodyVelocity(AbstractObserve):
         sums = Sums(alpha, velocity_b0 + coriolis - force, moment)
         held, pair, valid, since = s.window.push(context.index, sums, epoch.valid)
         beta = pair.beta if moment is None else pair.beta + w_ie_b0.cross(pair.moment)
-        new = _State(
-            q_b0b, q_n0n, place, force, coriolis, sums, held, velocity, velocity_b0, fix_b0, fix_time, s.w_ie
-        )
+        new = _State(q_b0b, q_n0n, place, force, coriolis, sums, held, velocity, velocity_b0, fix_b0, fix_time, s.w_ie)
         return new, Pair(pair.alpha, beta, valid, since.alpha, pair.beta, pair.moment, s.w_ie)

@@ -43,7 +43,7 @@ class Place(eqx.Module):
 
 
 def turn(q_n0n: Quat, rate: Vec3, dt: Any) -> Quat:
-    """n after ``dt`` seconds at a constant rate ``w_in`` (rad/s, in n)."""
+    """N after ``dt`` seconds at a constant rate ``w_in`` (rad/s, in n)."""
     return (q_n0n * Quat.exp(rate * dt)).renormalised()
 
 

@@ -32,4 +32,6 @@ def check_window(seconds: float) -> None:
 def check_interval(samples: int | None) -> None:
     """Refuse an interval of less than one IMU sample."""
     if samples is not None and samples < 1:
-        raise UserError(f"observe.interval_samples = {samples}: must be at least 1 IMU sample, or none for the log's own")
+        raise UserError(
+            f"observe.interval_samples = {samples}: must be at least 1 IMU sample, or none for the log's own"
+        )

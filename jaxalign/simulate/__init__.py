@@ -1,0 +1,82 @@
+"""Simulated logs: analytic trajectories, exact increments, sensor errors, faults of the aid, named scenarios.
+
+    truth(scenario)                    once: perfect increments and the states at the epochs
+    measure(truth, scenario, key)      per run: pure, `vmap` it over keys
+    simulate("dvl-sturn", seed=1)      both, as a `Log`
+
+A new motion is a `Trajectory` of signals; a new fault of the aid is a module ``(key, t, error) -> error``.
+"""
+
+from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
+from jaxalign.simulate.measurement import (
+    Scenario,
+    aid_velocity,
+    imu_increments,
+    log_of,
+    measure,
+    noiseless,
+    truth,
+)
+from jaxalign.simulate.motions import (
+    accelerate_and_turn,
+    s_turn,
+    static_base,
+    sway_underway,
+    swaying_base,
+    zigzag,
+)
+from jaxalign.simulate.named import scenario, scenario_options, scenarios, simulate
+from jaxalign.simulate.sensors import SineForce, TriadErrors, accel_errors, gyro_errors
+from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps, Sum
+from jaxalign.simulate.trajectory import (
+    AbstractVelocity,
+    BodyVelocity,
+    CourseVelocity,
+    NavVelocity,
+    Trajectory,
+)
+
+__all__ = [
+    "AbstractFault",
+    "AbstractSignal",
+    "AbstractVelocity",
+    "BodyVelocity",
+    "Constant",
+    "CourseVelocity",
+    "FixedOutliers",
+    "Gap",
+    "JumpOutliers",
+    "NavVelocity",
+    "Ramps",
+    "Scenario",
+    "SegmentOutliers",
+    "SineForce",
+    "Sines",
+    "Steps",
+    "Sum",
+    "Trajectory",
+    "TriadErrors",
+    "Truth",
+    "accel_errors",
+    "accelerate_and_turn",
+    "aid_velocity",
+    "exact_increments",
+    "gyro_errors",
+    "imu_increments",
+    "log_of",
+    "measure",
+    "noiseless",
+    "s_turn",
+    "scenario",
+    "scenario_options",
+    "scenarios",
+    "simulate",
+    "specific_force",
+    "static_base",
+    "sway_underway",
+    "swaying_base",
+    "truth",
+    "turn_rate",
+    "zigzag",
+]
