@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -125,9 +126,18 @@ class Aligner(eqx.Module):
             used=weight,
         )
 
-    def read(self, state: AlignState) -> tuple[AlignState, Solution]:
-        """Read out the attitude of the last epoch: the new state and one row (scalar leaves) of a Solution."""
-        readout = self.estimate.readout(state.estimate, state.context)
+    def read(self, state: AlignState, fresh: bool = False) -> tuple[AlignState, Solution]:
+        """Read out the attitude of the last epoch.
+
+        Args:
+            state: after one or more updates.
+            fresh: whether the epoch before was read out too.
+
+        Returns:
+            The new state and one row (scalar leaves) of a Solution.
+        """
+        context = dataclasses.replace(state.context, fresh=fresh)
+        readout = self.estimate.readout(state.estimate, context)
         defined, o = readout.defined, state.observe
         attitude = where(defined, readout.attitude, Quat.identity())
         q_nb = (o.q_n0n.conjugate() * attitude * o.q_b0b).unit().positive()
@@ -161,7 +171,7 @@ class Aligner(eqx.Module):
 
     def step(self, state: AlignState, epoch: Epoch) -> tuple[AlignState, Solution]:
         """Consume one epoch and read out the attitude. Pure: no jit, print or callback inside."""
-        return self.read(self.update(state, epoch))
+        return self.read(self.update(state, epoch), fresh=True)
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method.
@@ -188,6 +198,7 @@ class Aligner(eqx.Module):
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     """All epochs; rows at epoch 0, every ``every``-th epoch and the last one."""
     state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
+    rows = epochs.rows
 
     def step(state, row):
         return aligner.step(state, row)
@@ -200,24 +211,21 @@ def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
         return aligner.read(state)
 
     if every == 1:
-        _, rows = jax.lax.scan(step, state, epochs.rows)
-        return eqx.tree_at(lambda s: s.aid_sd, rows, epochs.aid_sd)
-
-    def part(start, stop):
-        return jax.tree.map(lambda x: x[start:stop], epochs.rows)
-
-    blocks, rest = divmod(len(epochs) - 1, every)
-    state, first = block(state, part(0, 1))
-    pieces = [jax.tree.map(lambda x: x[None], first)]
-    if blocks:
-        grouped = jax.tree.map(lambda x: x.reshape(blocks, every), part(1, 1 + blocks * every))
-        state, rows = jax.lax.scan(block, state, grouped)
-        pieces.append(rows)
-    if rest:
-        _, last = block(state, part(len(epochs) - rest, len(epochs)))
-        pieces.append(jax.tree.map(lambda x: x[None], last))
-    rows = jax.tree.map(lambda *x: jnp.concatenate(x), *pieces)
-    return eqx.tree_at(lambda s: s.aid_sd, rows, epochs.aid_sd)
+        _, out = jax.lax.scan(step, state, rows)
+    else:
+        # Empty epochs in front make epoch 0 the end of a block like the others: one program instead of two.
+        blocks, rest = divmod(len(epochs) - 1, every)
+        nothing = Epoch.start(jnp.full(3, jnp.nan))
+        state = eqx.tree_at(lambda s: s.index, state, state.index - (every - 1))
+        whole = jax.tree.map(
+            lambda x, n: jnp.concatenate([jnp.broadcast_to(n, (every - 1,)), x[: 1 + blocks * every]]), rows, nothing
+        )
+        grouped = jax.tree.map(lambda x: x.reshape(1 + blocks, every), whole)
+        state, out = jax.lax.scan(block, state, grouped)
+        if rest:
+            _, last = block(state, jax.tree.map(lambda x: x[-rest:], rows))
+            out = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), out, last)
+    return eqx.tree_at(lambda s: s.aid_sd, out, epochs.aid_sd)
 
 
 @eqx.filter_jit

@@ -57,35 +57,56 @@ def parameters(method: Any) -> dict[str, Any]:
 
 def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:
     """Turn a value (a string from the command line, or a Python value) into what the field holds."""
-    value = text
-    if isinstance(text, str):
-        try:
-            value = json.loads(text.lower() if text.lower() in ("true", "false", "null", "none") else text)
-        except json.JSONDecodeError:
-            value = None if text.lower() == "none" else text
-    if isinstance(old, bool):
-        if not isinstance(value, bool):
-            raise UserError(f"{path} = {text!r}: must be true or false")
-        return value
-    if isinstance(old, jax.Array):
-        if isinstance(value, bool | str) or value is None or np.shape(value) != old.shape:
-            raise UserError(
-                f"{path} = {text!r}: must be a number" + (f" (array of shape {old.shape})" if old.ndim else "")
-            )
-        low, high = field.metadata.get("bounds", (-np.inf, np.inf))
-        if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
-            raise UserError(
-                f"{path} = {text!r}: outside its bounds {low:g} .. {high:g} {field.metadata.get('unit', '')}".rstrip()
-            )
-        return as_float64(value)
-    if isinstance(old, str):
-        return str(value)
-    wanted = int if isinstance(old, int) or field.metadata.get("integer") else float
+
+    def refuse(wish: str) -> UserError:
+        return UserError(f"{path} = {text!r}: {wish}")
+
+    value = _read(text) if isinstance(text, str) else text
     if value is None and field.metadata.get("optional"):
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or (wanted is int and value != int(value)):
-        raise UserError(f"{path} = {text!r}: must be {'a whole number' if wanted is int else 'a number'}")
-    return wanted(value)
+    if isinstance(old, bool):
+        if not isinstance(value, bool):
+            raise refuse("must be true or false")
+        return value
+    if isinstance(old, jax.Array):
+        numbers = _numbers(value)
+        if numbers is None or numbers.shape != old.shape:
+            raise refuse("must be a number" + (f" (array of shape {old.shape})" if old.ndim else ""))
+        low, high = field.metadata.get("bounds", (-np.inf, np.inf))
+        if not np.all((numbers >= low) & (numbers <= high)):
+            raise refuse(f"outside its bounds {low:g} .. {high:g} {field.metadata.get('unit', '')}".rstrip())
+        return as_float64(numbers)
+    if isinstance(old, str):
+        if not isinstance(text, str):
+            raise refuse("must be a word")
+        return text  # as typed: no word is a number here
+    whole = isinstance(old, int) or bool(field.metadata.get("integer"))
+    number = _numbers(value)
+    if number is None or number.ndim or np.isnan(number):
+        raise refuse("must be a whole number" if whole else "must be a number")
+    if not whole:
+        return float(number)
+    if not float(number).is_integer() or abs(float(number)) >= 2**63:
+        raise refuse("must be a whole number")
+    return int(number)
+
+
+def _read(text: str) -> Any:
+    """What was typed: JSON, with true, false and none in any case; anything else is itself."""
+    word = text.strip().lower()
+    try:
+        return json.loads({"none": "null"}.get(word, word) if word in ("true", "false", "null", "none") else text)
+    except ValueError:
+        return text
+
+
+def _numbers(value: Any) -> np.ndarray | None:
+    """The value as an array of real numbers, or None if it is no such thing."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged
+        return None
+    return array if array.dtype.kind in "iuf" else None
 
 
 def with_parameters(method: T, values: Mapping[str, Any]) -> T:

@@ -44,7 +44,8 @@ class Spread(eqx.Module):
     def observable(self, sd: Any) -> Bool[Array, "*shape"]:
         """``4 (s2 + s3) / (8 k sd^2) > 1`` with s the eigenvalues of the sum, k the number of vectors.
 
-        s2 + s3 is the sum of the principal minors over the trace: no cancellation against the large s1.
+        s2 + s3 is taken as the sum of the principal minors over the trace: no cancellation against the large s1, and
+        short by (s2 + s3) / s1 of itself at most (half of it where all three are equal).
 
         Args:
             sd: standard deviation of the aid's white noise per axis, m/s.

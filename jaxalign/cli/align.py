@@ -110,7 +110,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _writable(path: str) -> None:
     """Refuse an output that cannot be written before anything is computed."""
-    import os
+    import tempfile
     from pathlib import Path
 
     from jaxalign.errors import UserError
@@ -120,8 +120,10 @@ def _writable(path: str) -> None:
         raise UserError(f"{path} is a folder: name a file to write")
     if not place.parent.is_dir():
         raise UserError(f"{path}: cannot be written: there is no folder {place.parent}")
-    if not os.access(place.parent, os.W_OK):
-        raise UserError(f"{path}: cannot be written: no permission for the folder {place.parent}")
+    try:
+        tempfile.TemporaryFile(dir=place.parent).close()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[str]:
@@ -170,7 +172,7 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         out.append("THE RESULT IS NOT FINITE: the data overflow somewhere; do not use it")
     seen = np.flatnonzero(numbers["observable"])
     if seen.size:
-        out.append(f"heading observable from {time[seen[0]]:g} s on, as far as the noise of the aid is concerned")
+        out.append(f"heading observable from {time[seen[0]]:.1f} s on, as far as the noise of the aid is concerned")
     else:
         out.append("heading NOT observable: the directions never open beyond the noise of the aid; pitch and roll only")
     used = (numbers["weight"] > 0) & ((status & Status.UNDEFINED) == 0)
@@ -178,7 +180,12 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         size = np.linalg.norm(numbers["residual"][used], axis=1) / np.sqrt(3)
         out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s")
         ratio = float(np.sqrt(np.mean(size**2))) / sd
-        if ratio > 3:
+        if ratio > 30:
+            out.append(
+                f"  {ratio:.0f} times the white noise: the model does not fit (biases of a low-cost unit? wrong "
+                "site, axes or units?): do not trust the heading"
+            )
+        elif ratio > 3:
             out.append(
                 f"  {ratio:.0f} times the white noise: slow errors rule (sensor biases, drift of the aid, "
                 "disturbance): the heading is less certain than the noise alone would make it"
@@ -191,6 +198,6 @@ def _report(log: Log, name: str, solution: Solution, estimated: bool) -> list[st
         out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")
     pitch, roll, _ = numbers["euler_deg"][-1]
     out.append(
-        f"at {time[-1]:g} s: pitch {pitch:.4f} deg, roll {roll:.4f} deg, heading {numbers['heading_deg'][-1]:.3f} deg"
+        f"at {time[-1]:.1f} s: pitch {pitch:.4f} deg, roll {roll:.4f} deg, heading {numbers['heading_deg'][-1]:.3f} deg"
     )
     return out

@@ -106,7 +106,7 @@ def dominant_eigenvector(k: tuple[Any, ...]) -> Dominant:
     Returns:
         The eigenvector, its eigenvalue and the gap to the next one. The derivative of the eigenvector is the
         pseudo-inverse one, zero along directions whose gap is closed to rounding (relative 1e-12): finite at a
-        repeated eigenvalue, where no derivative exists.
+        repeated eigenvalue, where no derivative exists. Second derivatives hold where all four eigenvalues are apart.
     """
     v1, l1, _, l2 = _pick(*_solve(k))
     return Dominant(Quat(*v1), l1, l1 - l2)

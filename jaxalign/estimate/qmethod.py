@@ -15,8 +15,9 @@ from jaxalign.vector import Mat3, Vec3, where
 
 __all__ = ["CentredWahba", "QMethod"]
 
-# Read-outs with a closed Coriolis term repeat the eigenproblem with the new attitude; each pass shrinks its error by
-# about 2 v / (g t cos(lat)): two passes leave 3e-5 deg at 60 s.
+# A read-out with a closed Coriolis term needs the attitude that it seeks. Starting from the last attitude, each pass
+# shrinks the error by about 2 v / (g t cos(lat)): two passes from scratch leave 3e-5 deg at 60 s. Where the last
+# attitude is that of the epoch before, the epochs themselves are the passes, and one is enough.
 _PASSES = 2
 
 
@@ -41,7 +42,7 @@ class _Profile(eqx.Module):
         if self.moment is None:
             return _readout(self.fixed)
         attitude, known = context.attitude, context.defined
-        for _ in range(_PASSES):
+        for _ in range(1 if context.fresh else _PASSES):
             w_ie_b0 = where(known, attitude.conjugate().rotate(self.w_ie), Vec3.zero())
             found = _readout(self.fixed + self.moment.map_rows(w_ie_b0.cross))
             attitude, known = found.attitude, found.defined

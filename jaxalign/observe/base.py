@@ -19,11 +19,12 @@ class Context(eqx.Module):
     """All that a slot may look back at.
 
     Attributes:
-        index: epoch k, from 0.
+        index: epoch k, from 0; negative for the empty epochs that pad a sparse read-out in front.
         time: s since epoch 0.
         attitude: q_n0b0 of the last read-out (the identity until ``defined``).
         defined: whether that attitude is unique (relative eigengap above rounding).
         sd: standard deviation of the aid's white noise per axis, m/s.
+        fresh: whether that attitude is at most one epoch old (static): a read-out that iterates on it may stop early.
     """
 
     index: Int[Array, ""]
@@ -31,6 +32,7 @@ class Context(eqx.Module):
     attitude: Quat
     defined: Bool[Array, ""]
     sd: Float[Array, ""]
+    fresh: bool = eqx.field(static=True, default=False)
 
 
 class Pair(eqx.Module):

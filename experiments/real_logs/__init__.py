@@ -1,0 +1,1 @@
+"""Every recipe on every real log that it applies to."""
