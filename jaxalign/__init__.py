@@ -15,7 +15,7 @@ The way of the data: a :class:`Log` is preintegrated to :class:`Epochs`; a metho
 into vector pairs, reconstructs, weighs and accumulates them, and reads out attitudes: a :class:`Solution`.
 """
 
-from jaxalign import earth, io, methods, rotation, simulate
+from jaxalign import earth, io, methods, metrics, rotation, simulate
 from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
@@ -73,6 +73,7 @@ __all__ = [
     "estimate_aid_sd",
     "io",
     "methods",
+    "metrics",
     "parameters",
     "preintegrate",
     "read",

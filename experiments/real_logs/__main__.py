@@ -138,8 +138,8 @@ def report(data: Path) -> str:
     parts = [
         "# Real logs",
         "",
-        "Written by `python -m experiments.real_logs`. Errors are estimate minus reference: heading clockwise, tilt the",
-        "norm of the two level errors. The noise of the aid is estimated from each log.",
+        "Written by `python -m experiments.real_logs`. Errors are estimate minus reference: heading clockwise, tilt",
+        "the norm of the two level errors. The noise of the aid is estimated from each log.",
         "",
         "## AUV at sea: FOG INS and DVL (semi_real: synthetic navigation-grade IMU on the real motion, real DVL)",
         "",

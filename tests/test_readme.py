@@ -1,0 +1,66 @@
+"""The README's code runs as it stands: Python in one namespace, commands one after the other."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+from jaxalign.cli.main import main
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.M | re.S)
+
+
+def test_python(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+    space: dict = {}
+    code = blocks("python")
+    assert len(code) == 4
+    for block in code:
+        exec(compile(block, "README.md", "exec"), space)
+    assert space["milder"].weight.gamma == 4.0
+    assert all(abs(float(x)) > 0 for x in space["gradient"])
+    errors = dict(
+        re.findall(r"^(plain|robust) heading error at the end (\S+) deg$", capsys.readouterr().out, flags=re.M)
+    )
+    assert abs(float(errors["robust"])) < 2.5 < abs(float(errors["plain"]))
+    # The 20-line extension and the 15-line embedding keep their promise.
+    assert len([line for line in code[2].splitlines() if line.strip()]) <= 20
+    assert len([line for line in code[3].splitlines() if line.strip()]) <= 15
+
+
+def test_commands(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    commands = [line[2:] for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
+    assert len(commands) == 5
+    for command in commands:
+        program, *arguments = command.split()
+        assert program == "jaxalign"
+        assert main(arguments) == 0, capsys.readouterr().err
+    assert (tmp_path / "out.npz").exists()
+
+
+def test_column_map_is_a_map(tmp_path):
+    from jaxalign.io.columns import column_map
+
+    (text,) = blocks("toml")
+    (tmp_path / "dvl.csv").write_text("t,vx,vy,vz\n")
+    column_map(tomllib.loads(text), tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("link", re.findall(r"\]\((?!https?:)([^)#]+)\)", README))
+def test_links_exist(link):
+    assert (Path(__file__).parents[1] / link).exists()
+
+
+def test_methods_table_is_complete():
+    from jaxalign.methods import RECIPES
+
+    for name in RECIPES:
+        assert f"| `{name}` |" in README
