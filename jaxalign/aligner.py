@@ -198,7 +198,7 @@ class Aligner(eqx.Module):
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     """All epochs; rows at epoch 0, every ``every``-th epoch and the last one."""
     state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
-    rows = epochs.rows
+    rows, every = epochs.rows, max(1, min(every, len(epochs) - 1))
 
     def step(state, row):
         return aligner.step(state, row)

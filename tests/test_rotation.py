@@ -16,7 +16,7 @@ from jaxalign import rotation
 
 rot = SimpleNamespace(**{name: jax.jit(getattr(rotation, name)) for name in rotation.__all__})
 RNG = np.random.default_rng(5)
-RANDOM = Rotation.random(200, rng=6)
+RANDOM = Rotation.random(200, rng=np.random.default_rng(6))
 TURNS = {  # about an axis, by angles that put w, x, y or z in front; ties of two and of all four
     "w": [0.3, -0.4, 0.5],
     "x": [3.0, 0.2, -0.1],
