@@ -25,6 +25,8 @@ from jaxalign.spread import Spread
 from jaxalign.vector import Quat, Vec3, where
 from jaxalign.weight import AbstractWeight, Unit
 
+_FEEDBACK = 10
+
 __all__ = ["AlignState", "Aligner", "align", "estimate_aid_sd"]
 
 
@@ -197,8 +199,20 @@ class Aligner(eqx.Module):
 
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     """All epochs; rows at epoch 0, every ``every``-th epoch and the last one."""
+    # Feedback of the attitude must not starve: whatever is asked for, read out at least every _FEEDBACK epochs.
+    every = max(1, min(every, len(epochs) - 1))
+    stride = max(d for d in range(1, _FEEDBACK + 1) if every % d == 0)
+    out = _scan_rows(aligner, epochs, stride)
+    if stride != every:
+        last = len(epochs) - 1
+        rows = np.append(np.arange(0, last, every) // stride, -(-last // stride))
+        out = jax.tree.map(lambda x: x[rows], out)
+    return eqx.tree_at(lambda s: s.aid_sd, out, epochs.aid_sd)
+
+
+def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
-    rows, every = epochs.rows, max(1, min(every, len(epochs) - 1))
+    rows = epochs.rows
 
     def step(state, row):
         return aligner.step(state, row)
@@ -225,7 +239,7 @@ def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
         if rest:
             _, last = block(state, jax.tree.map(lambda x: x[-rest:], rows))
             out = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), out, last)
-    return eqx.tree_at(lambda s: s.aid_sd, out, epochs.aid_sd)
+    return out
 
 
 @eqx.filter_jit
@@ -259,9 +273,9 @@ def align(method: Any, log: Log | Epochs, every: int = 1) -> Solution:
         method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``epochs(log)``
             and ``solve(epochs, every)``.
         log: a checked log (host), or Epochs (also inside jit, vmap, grad).
-        every: epochs between two read-outs. The eigenproblem costs more than all the rest of a step; between read-outs
-            feedback of the attitude (transport rate, residual weights) uses the last one. Rows come at epoch 0, at each
-            ``every``-th epoch and at the last one.
+        every: epochs between two rows of the result: they come at epoch 0, at each ``every``-th epoch and the last one.
+            The eigenproblem costs more than all the rest of a step, so it is solved only for the rows, and for the
+            feedback of the attitude (transport rate, residual weights) at least every 10 epochs.
 
     Returns:
         A :class:`Solution`. Where a log does not state the noise of the aid that the method observes, it is estimated

@@ -16,8 +16,12 @@ SCENARIOS = {"body": "dvl-sturn", "nav": "gps-zigzag", "static": "sway"}
 EPOCHS = 60
 
 
-@functools.cache
 def log_of(aid: str, seed: int = 1, noise: bool = True):
+    return _log_of(aid, seed, noise)
+
+
+@functools.cache
+def _log_of(aid: str, seed: int, noise: bool):
     options = {"duration": 300.0} if aid == "static" else {}
     return simulate(scenario(SCENARIOS[aid], **options), seed, noise=noise)
 
