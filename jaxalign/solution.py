@@ -50,18 +50,18 @@ class Solution(eqx.Module):
         aid_sd: the aid's noise that was assumed, m/s.
     """
 
-    time: Float[Array, " K"]
-    q_nb: Float[Array, "K 4"]
-    defined: Bool[Array, " K"]
-    observable: Bool[Array, " K"]
-    eigengap: Float[Array, " K"]
-    residual: Float[Array, "K 3"]
-    weight: Float[Array, " K"]
-    alpha: Float[Array, "K 3"]
-    beta: Float[Array, "K 3"]
-    sd: Float[Array, "K 3"] | None
-    status: Int[Array, " K"]
-    aid_sd: Float[Array, ""]
+    time: Float[Array, "*K"]
+    q_nb: Float[Array, "*K 4"]
+    defined: Bool[Array, "*K"]
+    observable: Bool[Array, "*K"]
+    eigengap: Float[Array, "*K"]
+    residual: Float[Array, "*K 3"]
+    weight: Float[Array, "*K"]
+    alpha: Float[Array, "*K 3"]
+    beta: Float[Array, "*K 3"]
+    sd: Float[Array, "*K 3"] | None
+    status: Int[Array, "*K"]
+    aid_sd: Float[Array, "*run"]
 
     def _masked(self, values: ArrayLike) -> np.ndarray:
         out = np.array(values)
