@@ -15,6 +15,9 @@ def add(commands: Any) -> None:
         help="write a synthetic log of a named scenario",
         description="Simulate a scenario: exact IMU increments along an analytic trajectory, sensor errors, aid noise "
         "and outliers; the log holds the true attitude as its reference.",
+        epilog="Some options: outliers=none|fixed|segment (DVL scenarios) or none|jump (gps-zigzag); "
+        "gaps=[[30,40]] drops the aid between two times (s); bias=sign|gauss|fixed; duration=120. A wrong "
+        "value names the right ones.",
     )
     command.add_argument("scenario", nargs="?", metavar="SCENARIO", help="name (see --list)")
     command.add_argument("--list", action="store_true", help="list the scenarios and their options")
@@ -35,11 +38,12 @@ def _run(options: argparse.Namespace) -> int:
     from jaxalign.cli.report import assignments
     from jaxalign.errors import UserError
     from jaxalign.io import write_npz
-    from jaxalign.simulate import scenario, scenarios, simulate
+    from jaxalign.simulate import scenario, scenario_options, scenarios, simulate
 
     if options.list:
         for name, summary in scenarios().items():
-            print(f"{name:14s}{summary}")
+            settable = ", ".join(f"{option}={value}" for option, value in scenario_options(name).items())
+            print(f"{name:14s}{summary}\n{'':14s}{settable.lower()}")
         return 0
     if options.scenario is None:
         raise UserError(f"name a scenario: {', '.join(scenarios())}")

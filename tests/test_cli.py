@@ -1,0 +1,303 @@
+"""The command line: results, files, exit codes, one line for every user error."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import jaxalign as ja
+from jaxalign.cli.main import main
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A short simulated log and ways to spoil it."""
+    folder = tmp_path_factory.mktemp("logs")
+    log = ja.simulate.simulate(ja.simulate.scenario("dvl-sturn", duration=60.0), 3)
+    ja.io.write_npz(log, folder / "good.npz")
+    with np.load(folder / "good.npz") as z:
+        arrays = {key: z[key] for key in z.files}
+
+    def spoilt(name, **changes):
+        np.savez(folder / name, **{k: v for k, v in (arrays | changes).items() if v is not None})
+
+    gone = arrays["dvel"].copy()
+    gone[700:720] = np.nan
+    spoilt("nan.npz", dvel=gone)
+    spoilt("no_aid.npz", aid_v=np.full_like(arrays["aid_v"], np.nan))
+    spoilt("in_g.npz", dvel=arrays["dvel"] / 9.80665)
+    spoilt("deg.npz", dtheta=np.rad2deg(arrays["dtheta"]))
+    spoilt("swapped.npz", dvel=arrays["dvel"] * [1, -1, -1], dtheta=arrays["dtheta"] * [1, -1, -1])
+    spoilt("pole.npz", lat=np.deg2rad(89.7))
+    spoilt("lat_deg.npz", lat=32.06)
+    spoilt("short.npz", dtheta=arrays["dtheta"][:400], dvel=arrays["dvel"][:400], aid_v=arrays["aid_v"][:3])
+    spoilt("keys.npz", dvel=None)
+    (folder / "damaged.npz").write_bytes((folder / "good.npz").read_bytes()[:5000])
+    (folder / "unknown.bin").write_bytes(bytes(range(256)))
+    csv(folder, "good.csv", log)
+    time = np.arange(len(log.dtheta)) * log.dt
+    time[500] = time[499]
+    csv(folder, "twice.csv", log, time)
+    time[500] = time[498]
+    csv(folder, "back.csv", log, time)
+    csv(folder, "gap.csv", log, drop=slice(1000, 1010))
+    (folder / "map.toml").write_text('[imu]\ntime = "tt"\n')
+    return folder
+
+
+def csv(folder, name, log, time=None, drop=slice(0, 0)):
+    time = np.arange(len(log.dtheta)) * log.dt if time is None else time
+    table = np.column_stack([time, log.dtheta / log.dt, log.dvel / log.dt, np.full(len(time), np.rad2deg(log.lat))])
+    head = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,lat_deg"
+    np.savetxt(folder / name, np.delete(table, drop, axis=0), delimiter=",", header=head, comments="", fmt="%.12g")
+
+
+def refused(capsys, arguments):
+    """The one line of a user error; nothing on standard output but what was printed before it was found."""
+    assert main([str(a) for a in arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("jaxalign: error: ")
+    assert captured.err.count("\n") == 1
+    assert "Traceback" not in captured.err
+    return captured.err
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("missing.npz", ["missing.npz", "no such"]),
+        ("", ["folder"]),
+        ("unknown.bin", ["unknown format", "--format"]),
+        ("damaged.npz", ["damaged.npz"]),
+        ("keys.npz", ["dvel"]),
+        ("nan.npz", ["700", "20"]),
+        ("no_aid.npz", ["missing"]),
+        ("in_g.npz", ["g", "9.8"]),
+        ("deg.npz", ["deg"]),
+        ("pole.npz", ["89.7", "89.5"]),
+        ("lat_deg.npz", ["32.06", "rad"]),
+        ("short.npz", ["short"]),
+        ("twice.csv", ["time", "502"]),
+        ("back.csv", ["time", "502"]),
+        ("gap.csv", ["gap"]),
+    ],
+)
+@pytest.mark.parametrize("command", ["align", "info"])
+def test_bad_logs(files, tmp_path, capsys, command, name, words):
+    extra = ["--output", tmp_path / "out.npz"] if command == "align" else []
+    message = refused(capsys, [command, files / name, *extra])
+    for word in words:
+        assert word in message
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--method", "ob"], ["oba"]),
+        (["--method", "gravity_q"], ["standing", "oba"]),
+        (["--method", "oba", "--set", "observe.windw=3"], ["observe.window"]),
+        (["--method", "oba", "--set", "observe.window"], ["name=value"]),
+        (["--method", "oba", "--set", "observe.window=x"], ["number"]),
+        (["--method", "oba", "--set", "observe.window=-1"], ["observe.window"]),
+        (["--method", "oba", "--set", "observe.coriolis=open"], ["closed", "recursive"]),
+        (["--method", "oba", "--set", "observe.interval_samples=7"], ["200"]),
+        (["--every", "0"], ["every"]),
+        (["--aid-sd", "-0.1"], ["aid_sd"]),
+        (["--start", "50", "--end", "40"], ["40"]),
+        (["--start", "100"], ["100"]),
+        (["--columns", "map.toml"], ["CSV"]),
+        (["--output", "no/such/folder/out.npz"], ["no folder"]),
+        (["--output", "."], ["folder"]),
+        (["--plot", "no/such/folder/out.png"], ["no folder"]),
+    ],
+)
+def test_bad_arguments(files, capsys, monkeypatch, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    message = refused(capsys, ["align", files / "good.npz", *arguments])
+    for word in words:
+        assert word in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_column_map(files, capsys):
+    message = refused(capsys, ["align", files / "good.csv", "--columns", files / "map.toml"])
+    assert "map" in message
+
+
+def test_swapped_axes_warn(files, capsys):
+    assert main(["align", str(files / "swapped.npz"), "--every", "60"]) == 0
+    assert "warning: " in capsys.readouterr().out
+
+
+def test_csv_of_a_standing_vehicle_is_static(files, capsys):
+    """No aid columns: a static log. (This vehicle moves; the command only sees sensors.)"""
+    assert main(["align", str(files / "good.csv"), "--every", "10"]) == 0
+    out = capsys.readouterr().out
+    assert "no aid (standing)" in out
+    assert "gravity_q" in out
+
+
+def test_align_writes_what_it_says(files, tmp_path, capsys):
+    out, png = tmp_path / "out.npz", tmp_path / "out.png"
+    arguments = ["--method", "oba", "--set", "observe.window=30", "--start", "10", "--end", "50"]
+    assert main(["align", str(files / "good.npz"), *arguments, "--output", str(out), "--plot", str(png)]) == 0
+    printed = capsys.readouterr().out
+    for word in (
+        "pitch deg",
+        "roll deg",
+        "heading deg",
+        "observable",
+        "residual",
+        "as stated",
+        "error against the reference",
+    ):
+        assert word in printed
+    assert png.read_bytes().startswith(PNG)
+    with np.load(out) as z:
+        assert z["C_nb"].shape == (41, 3, 3)
+        assert z["q_nb"].shape == (41, 4)
+        assert z["euler_deg"].shape == (41, 3)
+        for key in ("heading_deg", "observable", "eigengap", "weight", "status", "t"):
+            assert z[key].shape == (41,)
+        assert z["t"][0] == pytest.approx(10.0)
+        assert np.isnan(z["C_nb"][:2]).all()
+        assert np.isfinite(z["C_nb"][2:]).all()
+        recipe = json.loads(str(z["recipe"]))
+    assert recipe["method"] == "oba"
+    assert recipe["parameters"]["observe.window"] == 30.0
+    assert recipe["aid_sd"] == pytest.approx(0.1)
+    assert recipe["aid_sd_from"] == "log"
+    # The recipe rebuilds the method.
+    again = ja.methods.build(recipe["method"], recipe["aid"], recipe["parameters"])
+    assert ja.parameters(again) == recipe["parameters"]
+
+
+def test_aid_noise_is_estimated_where_it_is_not_stated(files, tmp_path, capsys):
+    with np.load(files / "good.npz") as z:
+        np.savez(tmp_path / "log.npz", **{k: z[k] for k in z.files if k != "aid_sd"})
+    assert main(["align", str(tmp_path / "log.npz"), "--every", "60", "--output", str(tmp_path / "out.npz")]) == 0
+    assert "estimated from the data" in capsys.readouterr().out
+    with np.load(tmp_path / "out.npz") as z:
+        assert float(z["aid_sd"]) == pytest.approx(0.1, rel=0.3)
+    assert main(["align", str(tmp_path / "log.npz"), "--every", "60", "--aid-sd", "0.2"]) == 0
+    assert "0.2 m/s (as stated)" in capsys.readouterr().out
+
+
+def test_simulate_round_trip(tmp_path, capsys):
+    path = tmp_path / "log.npz"
+    options = ["--set", "outliers=jump", "--set", "gaps=[[30, 40]]"]
+    assert main(["simulate", "gps-zigzag", "--seed", "4", "--output", str(path), *options]) == 0
+    spoilt, clean = ja.read(path), ja.simulate.simulate("gps-zigzag", 4)
+    assert spoilt.missing.sum() == 11
+    assert np.nanmax(np.abs(spoilt.velocity - clean.velocity)) > 5
+    assert main(["simulate", "gps-zigzag", "--seed", "4", "--output", str(path)]) == 0
+    log, direct = ja.read(path), ja.simulate.simulate("gps-zigzag", 4)
+    np.testing.assert_array_equal(log.dtheta, direct.dtheta)
+    np.testing.assert_array_equal(log.velocity, direct.velocity)
+    assert log.aid_sd == direct.aid_sd
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["dvl-turn", "--output", "x.npz"], ["dvl-sturn"]),
+        ([], ["dvl-sturn"]),
+        (["dvl-sturn"], ["--output"]),
+        (["dvl-sturn", "--output", "x.npz", "--set", "outlier=fixed"], ["outliers"]),
+        (["dvl-sturn", "--output", "x.npz", "--set", "outliers=few"], ["fixed"]),
+        (["dvl-sturn", "--output", "no/x.npz"], ["no/x.npz"]),
+    ],
+)
+def test_simulate_refuses(capsys, monkeypatch, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    message = refused(capsys, ["simulate", *arguments])
+    for word in words:
+        assert word in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lists(capsys):
+    assert main(["methods"]) == 0
+    listed = capsys.readouterr().out
+    for name in ja.methods.RECIPES:
+        assert name in listed
+    assert main(["methods", "oba"]) == 0
+    assert "Xu 2020" in capsys.readouterr().out
+    assert main(["simulate", "--list"]) == 0
+    listed = capsys.readouterr().out
+    for name in ja.simulate.scenarios():
+        assert name in listed
+    assert "outliers" in listed
+    refused(capsys, ["methods", "obaa"])
+
+
+@pytest.mark.parametrize("arguments", [["--help"], *([c, "--help"] for c in ("align", "info", "methods", "simulate"))])
+def test_help(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 0
+    assert "usage: jaxalign" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["alain"], ["align"], ["align", "x", "--every", "two"], ["align", "x", "--bogus"]]
+)
+def test_wrong_usage_exits_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage: jaxalign" in capsys.readouterr().err
+
+
+FLOAT32 = """
+import jaxalign as ja
+from jaxalign.methods import build
+import numpy as np, jax
+try:
+    {code}
+except ja.UserError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "ja.align(build('oba'), ja.read({path!r}))",
+        "ja.epochs_from_log(ja.read({path!r}))",
+        "ja.simulate.simulate('dvl-sturn', 1)",
+        "m = build('oba'); jax.config.update('jax_enable_x64', True); e = ja.epochs_from_log(ja.read({path!r})); "
+        "e = jax.tree.map(lambda x: x.astype('float32') if x.dtype == float else x, e); ja.align(m, e)",
+    ],
+)
+def test_float32_is_refused_with_the_way_out(files, code):
+    """In a process of its own: importing the library must not have enabled x64."""
+    text = FLOAT32.format(code=code.format(path=str(files / "good.npz")))
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_ENABLE_X64"}
+    run = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, env=environment, check=True)
+    assert "jax_enable_x64" in run.stdout
+    assert run.stdout.count("\n") == 1
+
+
+def test_interrupt_is_130(files, monkeypatch, capsys):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxalign.cli.report.read_log", interrupt)
+    assert main(["info", str(files / "good.npz")]) == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_module_runs_as_a_program(files):
+    run = subprocess.run(
+        [sys.executable, "-m", "jaxalign", "info", str(files / "good.npz")], capture_output=True, text=True
+    )
+    assert run.returncode == 0
+    assert "200 Hz" in run.stdout

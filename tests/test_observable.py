@@ -1,0 +1,42 @@
+"""When the heading becomes observable."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxalign import align
+from jaxalign.methods import build
+from jaxalign.simulate import simulate
+
+
+@pytest.mark.parametrize("window", [0.0, 30.0])
+def test_crosses_near_65_s_on_the_s_turn(window):
+    found = align(build("oba", "body", {"observe.window": window}), simulate("dvl-sturn", 1))
+    time, seen = np.asarray(found.time), np.asarray(found.observable)
+    assert 60 <= time[seen][0] <= 70
+    assert seen[time >= 70].all()
+
+
+def test_is_the_eigenvalue_criterion():
+    """4 (s2 + s3) / (8 k sd^2) > 1 with numpy's eigenvalues of the sum over alpha (the noise-free side with a DVL)."""
+    log = simulate("dvl-sturn", 1)
+    found = align(build("oba"), log)
+    alpha = np.asarray(found.alpha)
+    for k in (20, 50, 64, 66, 80, 200):
+        s = np.linalg.eigvalsh(alpha[: k + 1].T @ alpha[: k + 1])
+        ratio = 4 * (s[0] + s[1]) / (8 * (k + 1) * log.aid_sd**2)
+        assert abs(ratio - 1) > 1e-3
+        assert bool(found.observable[k]) == (ratio > 1)
+
+
+def test_never_on_a_base_whose_noise_is_large():
+    from jaxalign import epochs_from_log
+
+    log = simulate("sway", 1, duration=100.0)
+    epochs = epochs_from_log(log, static=True)
+    import equinox as eqx
+
+    epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(10.0))
+    found = align(build("gravity_q"), epochs, every=10)
+    assert not np.asarray(found.observable).any()
+    assert (np.asarray(found.status)[-1] & 2) == 2
