@@ -16,7 +16,7 @@ def add(commands: Any) -> None:
         description="Simulate a scenario: exact IMU increments along an analytic trajectory, sensor errors, aid noise "
         "and outliers; the log holds the true attitude as its reference.",
         epilog="Some options: outliers=none|fixed|segment (DVL scenarios) or none|jump (gps-zigzag); "
-        "gaps=[[30,40]] drops the aid between two times (s); bias=sign|gauss|fixed; duration=120. A wrong "
+        "gaps=[[30,40]] drops the aid between two times (s); bias=sign|gaussian|fixed; duration=120. A wrong "
         "value names the right ones.",
     )
     command.add_argument("scenario", nargs="?", metavar="SCENARIO", help="name (see --list)")
