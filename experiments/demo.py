@@ -29,15 +29,15 @@ def main() -> None:
     solutions = {name: align(build(name, log.aid), log) for name in ("oba", "centred_oba")}
 
     print(f"dvl-sturn, seed {options.seed}: attitude error in degrees (east, north, heading)")
-    print("time s " + "".join(f"{name:>27s}" for name in solutions) + "   heading observable")
+    print("time s" + "".join(f"{name:>30s}" for name in solutions) + "   heading observable")
     for t in (10, 30, 60, 100, 150, 200, 250, 300):
         cells = ""
         for solution in solutions.values():
             row = int(np.argmin(np.abs(np.asarray(solution.time) - t)))
             error = attitude_error_deg(solution, log)
             assert error is not None
-            cells += "   " + "".join(f"{x:8.4f}" for x in error[row])
-        print(f"{t:6d} {cells}   {'yes' if solution.observable[row] else 'no'}")
+            cells += "".join(f"{x:10.4f}" for x in error[row])
+        print(f"{t:6d}{cells}   {'yes' if solution.observable[row] else 'no'}")
     figure = plots.compare(solutions, log, f"dvl-sturn, seed {options.seed}")
     figure.savefig(folder / "dvl-sturn.png")
     plots.attitude(solutions["oba"], log, "dvl-sturn: oba").savefig(folder / "dvl-sturn-oba.png")

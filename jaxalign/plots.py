@@ -42,6 +42,14 @@ def _figure(rows: int, height: float) -> tuple[Figure, Any]:
     return figure, figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
 
 
+def _rebranched(headings: list[np.ndarray]) -> list[np.ndarray]:
+    """Headings within 180 deg of where they mostly are, so that a vehicle going north does not jump across the axis."""
+    settled = np.concatenate([h[len(h) // 4 :] for h in headings])
+    settled = np.deg2rad(settled[np.isfinite(settled)])
+    centre = np.rad2deg(np.arctan2(np.sin(settled).sum(), np.cos(settled).sum()))
+    return [np.mod(h - centre + 180.0, 360.0) + centre - 180.0 for h in headings]
+
+
 def _unbroken(heading: np.ndarray) -> np.ndarray:
     """NaN where the heading passes north, so that no line is drawn across the picture."""
     out = heading.copy()
@@ -91,6 +99,9 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
         truth[:, 2] = np.mod(-truth[:, 2], 360.0)
     for i, name in enumerate(("pitch", "roll", "heading")):
         lines = [shown[:, i]] if truth is None else [shown[:, i], truth[:, i]]
+        if name == "heading":
+            lines = _rebranched(lines)
+            axes[i].yaxis.set_major_formatter(lambda x, _: f"{x % 360:g}")
         axes[i].plot(time, _unbroken(lines[0]), label="estimate")
         if truth is not None:
             axes[i].plot(time, _unbroken(lines[1]), "--", color=_GREY, label="reference")
