@@ -72,6 +72,7 @@ def main() -> None:
     sturn = build("oba", "body")
     solution = align(sturn, log)
     moments = jax.jit(lambda e: sturn.solve(e, 1)).lower(epochs_from_log(log)).compile().memory_analysis()
+    assert moments is not None
     lines += [
         f"Memory of oba on 301 epochs, read out at each: {moments.temp_size_in_bytes / 1024:.0f} kB temporary, "
         f"{sum(x.nbytes for x in jax.tree.leaves(solution)) / 1024:.0f} kB of results.",

@@ -6,14 +6,13 @@ else is set by path, with :func:`jaxalign.with_parameters`.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from jaxalign.aligner import Aligner
 from jaxalign.epochs import Aid
-from jaxalign.errors import UserError
+from jaxalign.errors import UserError, close_names
 from jaxalign.estimate import CentredWahba, QMethod
 from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
 from jaxalign.parameters import with_parameters
@@ -118,7 +117,7 @@ def build(name: str, aid: str | None = None, parameters: dict[str, Any] | None =
         UserError: unknown name or parameter (the nearest are offered), or an aid that the recipe does not take.
     """
     if name not in RECIPES:
-        near = difflib.get_close_matches(name, RECIPES, n=3, cutoff=0.4)
+        near = close_names(name, RECIPES)
         hint = f"did you mean {', '.join(near)}?" if near else f"there are {', '.join(RECIPES)}"
         raise UserError(f"no method {name!r}: {hint}")
     recipe = RECIPES[name]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
@@ -13,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxalign.errors import UserError
+from jaxalign.errors import UserError, close_names
 
 __all__ = ["as_float64", "parameters", "tunable", "with_parameters"]
 
@@ -122,7 +121,7 @@ def with_parameters(method: T, values: Mapping[str, Any]) -> T:
     known = {path: (value, field) for path, value, field in _fields(method)}
     for path, text in values.items():
         if path not in known:
-            near = difflib.get_close_matches(path, known, n=3, cutoff=0.4) or sorted(known)
+            near = close_names(path, known) or sorted(known)
             raise UserError(f"no parameter {path!r} in this method: did you mean {', '.join(near)}?")
         old, field = known[path]
         method = _replace(method, path.split("."), _parse(path, text, old, field))

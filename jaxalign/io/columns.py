@@ -35,7 +35,6 @@ for the aid vel_x, vel_y, vel_z (body) or vel_e, vel_n, vel_u (nav), m/s; right-
 
 from __future__ import annotations
 
-import difflib
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -46,7 +45,7 @@ from typing import Any
 import numpy as np
 
 from jaxalign.earth import STANDARD_GRAVITY
-from jaxalign.errors import UserError
+from jaxalign.errors import UserError, close_names
 from jaxalign.io.files import existing_file, first_line, read_text
 
 __all__ = ["AidColumns", "ColumnMap", "column_map", "default_map", "nearest"]
@@ -117,9 +116,8 @@ class ColumnMap:
 
 def nearest(name: str, among: Sequence[str]) -> str:
     """' (did you mean ...?)' for the name that is most alike, or nothing."""
-    by_lower = {other.lower(): other for other in reversed(among)}
-    found = difflib.get_close_matches(name.lower(), list(by_lower), n=1, cutoff=0.5)
-    return f" (did you mean {by_lower[found[0]]!r}?)" if found else ""
+    found = close_names(name, among, most=1)
+    return f" (did you mean {found[0]!r}?)" if found else ""
 
 
 def column_map(columns: str | os.PathLike[str] | Mapping[str, Any], beside: Path) -> ColumnMap:

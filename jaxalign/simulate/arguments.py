@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from difflib import get_close_matches
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
-from jaxalign.errors import UserError
+from jaxalign.errors import UserError, close_names
 from jaxalign.precision import require_x64
 
 __all__ = ["choice", "leaf", "nearest", "parsed"]
@@ -56,7 +55,7 @@ def parsed(value: Any, default: Any) -> Any:
 def nearest(word: str, known: Iterable[str]) -> str:
     """The end of a message about an unknown word: the nearest known ones first, or all of them."""
     known = list(known)
-    close = get_close_matches(str(word), known, n=3, cutoff=0.5)
+    close = close_names(word, known)
     if close:
         return f"did you mean {' or '.join(repr(k) for k in close)}? (known: {', '.join(known)})"
     return f"known: {', '.join(known) or 'none'}"
