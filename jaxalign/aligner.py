@@ -15,7 +15,7 @@ from jaxalign.aid_noise import white_noise_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_log
 from jaxalign.errors import UserError
-from jaxalign.estimate import AbstractEstimate, QMethod, Readout
+from jaxalign.estimate import AbstractEstimate, CentredWahba, QMethod, Readout
 from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.precision import require_x64
@@ -73,6 +73,12 @@ class Aligner(eqx.Module):
     weight: AbstractWeight = eqx.field(default_factory=Unit)
     estimate: AbstractEstimate = eqx.field(kw_only=True)
 
+    def __check_init__(self):
+        if isinstance(self.estimate, CentredWahba) and getattr(self.observe, "window", 0.0):
+            raise UserError(
+                "observe.window means nothing where the first velocity is free (centred_oba): leave it at 0"
+            )
+
     @property
     def aid(self) -> str:
         """The kind of aid that it observes."""
@@ -86,6 +92,7 @@ class Aligner(eqx.Module):
             interval: nominal seconds between epochs (a Python float).
             aid_sd: standard deviation of the aid's white noise per axis, m/s.
         """
+        require_x64(self, site)
         zero, v = jnp.zeros((), jnp.float64), Vec3.zero()
         moment = v if self.observe.coupled else None
         return AlignState(
@@ -145,13 +152,14 @@ class Aligner(eqx.Module):
         q_nb = (o.q_n0n.conjugate() * attitude * o.q_b0b).unit().positive()
         q_nb = where(defined, q_nb, Quat.identity())
         pair = state.pair
-        residual = pair.alpha - attitude.rotate(pair.beta)
-        observable = state.spread.observable(state.sd) & defined
+        residual = pair.residual(attitude)
+        observable = state.spread.observable(state.sd, self.observe.steps) & defined
         finite = jnp.isfinite(readout.eigengap + q_nb.norm2() + residual.norm2())
         bits = (
             (~defined, Status.UNDEFINED),
             (~observable, Status.HEADING_UNOBSERVABLE),
             (~state.aided, Status.AID_MISSING),
+            (state.aided & (state.used == 0), Status.UNUSED),
             (~finite, Status.NON_FINITE),
         )
         status = sum((jnp.where(condition, jnp.int32(bit), 0) for condition, bit in bits), jnp.int32(0))
@@ -207,7 +215,7 @@ def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
         last = len(epochs) - 1
         rows = np.append(np.arange(0, last, every) // stride, -(-last // stride))
         out = jax.tree.map(lambda x: x[rows], out)
-    return eqx.tree_at(lambda s: s.aid_sd, out, epochs.aid_sd)
+    return out
 
 
 def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
@@ -248,7 +256,7 @@ def _jitted(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
 
 def estimate_aid_sd(epochs: Epochs) -> float:
-    """Standard deviation of the aid's white noise (m/s), from the epochs themselves.
+    """Standard deviation of the aid's white noise (m/s; standing: of the force over one interval), from the epochs.
 
     Aligns once with the plain q-method to get the vectors, then :func:`jaxalign.aid_noise.white_noise_sd`.
 
@@ -258,7 +266,7 @@ def estimate_aid_sd(epochs: Epochs) -> float:
     observe: AbstractObserve = {"static": Static, "body": BodyVelocity, "nav": NavVelocity}[epochs.aid]()
     found = Aligner(observe, estimate=QMethod()).solve(epochs)
     valid = np.asarray(found.status) & int(Status.AID_MISSING) == 0
-    sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid)
+    sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid, walk=observe.steps)
     if sd is None:
         raise UserError(
             "too few velocities to estimate the noise of the aid: state it (aid_sd of the log, --aid-sd), m/s"
@@ -266,35 +274,45 @@ def estimate_aid_sd(epochs: Epochs) -> float:
     return sd
 
 
-def align(method: Any, log: Log | Epochs, every: int = 1) -> Solution:
+def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) -> Solution:
     """Align a log with a method.
 
     Args:
-        method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``epochs(log)``
-            and ``solve(epochs, every)``.
+        method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``aid``,
+            ``epochs(log)`` and ``solve(epochs, every)``.
         log: a checked log (host), or Epochs (also inside jit, vmap, grad).
         every: epochs between two rows of the result: they come at epoch 0, at each ``every``-th epoch and the last one.
             The eigenproblem costs more than all the rest of a step, so it is solved only for the rows, and for the
             feedback of the attitude (transport rate, residual weights) at least every 10 epochs.
+        aid_sd: standard deviation of the aid's white noise per axis, m/s (for a method that takes the vehicle as
+            standing: of the force integrated over one interval). By default what the log says of the aid that the
+            method observes, else an estimate from the log (:func:`estimate_aid_sd`). ``Solution.aid_sd`` says what
+            was used.
 
     Returns:
-        A :class:`Solution`. Where a log does not state the noise of the aid that the method observes, it is estimated
-        from the log (:func:`estimate_aid_sd`); ``Solution.aid_sd`` says what was used.
+        A :class:`Solution`.
 
     Raises:
         UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be
             estimated.
     """
-    if every < 1 or every != int(every):
+    if not hasattr(method, "solve"):
+        raise UserError(f"{method!r} is no method: build one by name with jaxalign.methods.build('oba', aid='body')")
+    if not isinstance(log, Log | Epochs):
+        raise UserError(f"{log!r} is neither a Log nor Epochs: read a file with jaxalign.read(path)")
+    if isinstance(every, str) or every < 1 or every != int(every):
         raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
     require_x64(method)
     if isinstance(log, Epochs):
         require_x64(log)
         if log.aid != method.aid:
             raise UserError(f"these epochs have a {log.aid!r} aid, the method observes {method.aid!r}")
-        return method.solve(log, int(every))
-    epochs = method.epochs(log)
-    if log.aid_sd is None or log.aid != epochs.aid:
-        sd = jnp.asarray(estimate_aid_sd(epochs), jnp.float64)
-        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, sd)
+        epochs = log
+    else:
+        epochs = method.epochs(log)
+        if aid_sd is None:
+            stated = log.aid_sd is not None and log.aid == epochs.aid
+            aid_sd = log.aid_sd if stated else estimate_aid_sd(epochs)
+    if aid_sd is not None:
+        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(aid_sd, jnp.float64))
     return method.solve(epochs, int(every))

@@ -114,6 +114,9 @@ def increments(name: str, key: str, value: Any, dt: float) -> np.ndarray:
     return array
 
 
+_FASTEST = 1e4  # m/s, of a vehicle
+
+
 def velocity(name: str, aid: str, value: Any, epochs: int) -> np.ndarray | None:
     """(M+1, 3) for an aid, with NaN for what is missing but not everywhere; None for "static"."""
     if aid == "static":
@@ -131,6 +134,13 @@ def velocity(name: str, aid: str, value: Any, epochs: int) -> np.ndarray | None:
     infinite = np.flatnonzero(np.isinf(array).any(axis=1))
     if len(infinite):
         raise UserError(f"{name}: velocity is infinite at epoch {infinite[0]}: use NaN for a missing aid sample")
+    with np.errstate(invalid="ignore"):
+        absurd = np.flatnonzero(np.any(np.abs(array) > _FASTEST, axis=1))
+    if absurd.size:
+        raise UserError(
+            f"{name}: velocity is {np.nanmax(np.abs(array[absurd[0]])):.3g} m/s at epoch {absurd[0]}: use m/s, and "
+            "NaN for a missing aid sample"
+        )
     if np.isnan(array).any(axis=1).all():
         raise UserError(
             f"{name}: all {epochs + 1} aid velocities are missing (NaN): give some, or align as static (aid = 'static')"

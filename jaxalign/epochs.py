@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -65,9 +65,9 @@ class Epochs(eqx.Module):
     Attributes:
         rows: an :class:`Epoch` with leaves of shape (M+1,).
         site: latitude, longitude, height of the start.
-        aid_sd: standard deviation of the aid's white noise per axis, m/s.
+        aid_sd: standard deviation of the aid's white noise per axis, m/s (standing: of the force over one interval).
         aid: "static", "body" or "nav" (static).
-        interval: nominal length of an interval, s (static: windows in seconds become counts by it).
+        interval: nominal length of an interval, s, to four digits (static: windows in seconds become counts by it).
     """
 
     rows: Epoch
@@ -114,13 +114,20 @@ def epochs_from_arrays(
         aid: what ``velocity`` is.
         aid_sd: noise of the aid, m/s.
         scheme: of the preintegration.
+
+    Raises:
+        UserError: float32 input, or an unknown kind of aid.
     """
+    require_x64({"dtheta": dtheta, "dvel": dvel, "velocity": velocity, "site": site})
+    if aid not in get_args(Aid):
+        raise UserError(f"aid = {aid!r}: must be one of {', '.join(get_args(Aid))}")
     intervals = len(jnp.asarray(dtheta)) // every
     velocity = jnp.zeros((intervals + 1, 3)) if velocity is None else jnp.asarray(velocity)
     if len(velocity) != intervals + 1:
         raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {len(velocity)}")
     rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
-    return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, float(every * dt))
+    # Four digits: logs whose clocks differ in the seventh share a compiled program.
+    return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, float(f"{every * dt:.4g}"))
 
 
 def epochs_from_log(

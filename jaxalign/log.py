@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxalign import checks
+from jaxalign.earth import SEMI_MAJOR_AXIS
 from jaxalign.errors import UserError
 from jaxalign.plausibility import axis_warnings, check_gyro_units, check_specific_force
 
@@ -16,6 +17,9 @@ __all__ = ["AIDS", "Log"]
 
 AIDS = ("static", "body", "nav")
 """The kinds of aid."""
+
+
+_FAR = 1e4  # m: 0.02 deg of heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +121,10 @@ class Log:
         return np.asarray(np.isnan(self.velocity).any(axis=1))
 
     def crop(self, start: float = 0.0, end: float | None = None) -> Log:
-        """The part between two times; latitude, longitude and height are kept.
+        """The part between two times.
+
+        With a "nav" aid the place moves along to the new start; else it is kept, with a warning where the vehicle may
+        have gone so far (10 km, 0.02 deg of heading) that it shows.
 
         Args:
             start: seconds since epoch 0, snapped to the nearest epoch.
@@ -140,15 +147,37 @@ class Log:
             return self
         samples = slice(first * self.aid_every, last * self.aid_every)
         rows = slice(first, last + 1)
+        place, far = self._moved(first)
         return dataclasses.replace(
             self,
+            **place,
             dtheta=self.dtheta[samples],
             dvel=self.dvel[samples],
             velocity=None if self.velocity is None else self.velocity[rows],
             C_nb=None if self.C_nb is None else self.C_nb[rows],
             t0=self.t0 + first * interval,
-            warnings=self._told(),
+            warnings=self._told() + far,
         )
+
+    def _moved(self, epoch: int) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Latitude, longitude and height at an epoch, where they can be told; or a warning."""
+        if self.velocity is None or epoch == 0:
+            return {}, ()
+        interval, known = self.aid_every * self.dt, ~self.missing
+        times = np.arange(self.epochs + 1)
+        v = np.column_stack([np.interp(times, times[known], self.velocity[known, i]) for i in range(3)])[: epoch + 1]
+        if self.aid == "body":
+            far = float(np.linalg.norm(v, axis=1).sum() * interval)
+            if far < _FAR:
+                return {}, ()
+            return {}, (
+                f"the place is that of the log's beginning, but the vehicle went up to {far:.0f} m before this part: "
+                "give the place of its start",
+            )
+        east, north, up = (float(np.trapezoid(v[:, i])) * interval for i in range(3))
+        radius = SEMI_MAJOR_AXIS + self.h
+        lat = self.lat + north / radius  # a sphere: 0.5 % of the way
+        return {"lat": lat, "lon": self.lon + east / (radius * float(np.cos(lat))), "h": self.h + up}, ()
 
     def with_epochs(self, aid_every: int) -> Log:
         """A static log with other epochs.

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxalign.errors import UserError, close_names
 
@@ -20,7 +21,9 @@ T = TypeVar("T")
 
 
 def as_float64(value: Any) -> jax.Array:
-    """A float64 array leaf (strongly typed: a weak type would compile once more)."""
+    """A float64 array leaf (strongly typed: a weak type would compile once more); tracers pass."""
+    if isinstance(value, jax.Array):
+        return value.astype(jnp.float64)
     return jnp.asarray(np.asarray(value, np.float64), jnp.float64)
 
 
@@ -67,6 +70,8 @@ def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:
         if not isinstance(value, bool):
             raise refuse("must be true or false")
         return value
+    if isinstance(value, Tracer) and isinstance(old, jax.Array):
+        return as_float64(value)  # its bounds cannot be checked
     if isinstance(old, jax.Array):
         numbers = _numbers(value)
         if numbers is None or numbers.shape != old.shape:

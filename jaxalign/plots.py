@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,10 +27,14 @@ def require() -> None:
     Raises:
         UserError: matplotlib is missing.
     """
+    backend = os.environ.pop("MPLBACKEND", None)  # not used here, and matplotlib refuses to load with an unknown one
     try:
         import matplotlib  # noqa: F401
     except ImportError:
         raise UserError("pictures need matplotlib: pip install 'jaxalign[plots]'") from None
+    finally:
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
 
 
 def _figure(rows: int, height: float) -> tuple[Figure, Any]:
@@ -120,10 +125,10 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
     size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
     axes[last].semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
     axes[last].axhline(
-        float(numbers["aid_sd"]),
+        float(numbers["aid_sd"][-1]),
         color=_GREY,
         linestyle=":",
-        label=f"white noise\n{float(numbers['aid_sd']):.2g} m/s",
+        label=f"white noise\n{float(numbers['aid_sd'][-1]):.2g} m/s",
     )
     axes[last].set_ylabel("residual (m/s)")
     axes[last].set_xlabel("time (s)")

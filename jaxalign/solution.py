@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntFlag
 
 import equinox as eqx
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
@@ -25,6 +26,12 @@ class Status(IntFlag):
     """No aid sample at this epoch: the attitude is that of the samples before it."""
     NON_FINITE = 8
     """The sums hold a NaN or an infinity; nothing after this epoch is to be used."""
+    UNUSED = 16
+    """The aid has a sample here, but no vector came of it, or its weight is zero."""
+
+
+_dcm, _euler = jax.jit(dcm_from_quat), jax.jit(euler_from_quat)
+_heading = jax.jit(lambda q: heading_deg(euler_from_quat(q)[..., 2]))
 
 
 class Solution(eqx.Module):
@@ -38,8 +45,9 @@ class Solution(eqx.Module):
         time: (K,) s since epoch 0.
         q_nb: (K, 4) attitude, scalar part >= 0.
         defined: (K,) whether the attitude is unique.
-        observable: (K,) whether the directions have opened beyond the aid's noise: the heading is worth reading.
-            With s the eigenvalues of ``sum a a^T`` over the k noise-free vectors a: 4 (s2 + s3) / (8 k sd^2) > 1.
+        observable: (K,) whether the directions have opened beyond the noise, so that the heading is known to some
+            10-15 deg as far as that noise is concerned; see :class:`jaxalign.spread.Spread`. It knows nothing of
+            sensor biases or of a disturbance that is not white.
         eigengap: (K,) relative gap of the 4x4 problem (0 where the method has none); it measures aid noise early on.
         residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0.
         weight: (K,) of that pair; 0 where there is none (aid missing here or at the other end of a window).
@@ -47,7 +55,7 @@ class Solution(eqx.Module):
         beta: (K, 3) the vector in b0, m/s, after reconstruction.
         sd: (K, 3) standard deviations of the error in n (east, north, up), rad, where the method knows them; else None.
         status: (K,) bits, see :class:`Status`.
-        aid_sd: the aid's noise that was assumed, m/s.
+        aid_sd: (K,) the aid's noise that was assumed, m/s, in every row.
     """
 
     time: Float[Array, "*K"]
@@ -61,7 +69,7 @@ class Solution(eqx.Module):
     beta: Float[Array, "*K 3"]
     sd: Float[Array, "*K 3"] | None
     status: Int[Array, "*K"]
-    aid_sd: Float[Array, "*run"]
+    aid_sd: Float[Array, "*K"]
 
     def _masked(self, values: ArrayLike) -> np.ndarray:
         out = np.array(values)
@@ -71,22 +79,22 @@ class Solution(eqx.Module):
     @property
     def C_nb(self) -> np.ndarray:
         """(K, 3, 3) on the host, NaN where there is no attitude."""
-        return self._masked(dcm_from_quat(self.q_nb))
+        return self._masked(_dcm(self.q_nb))
 
     @property
     def euler_deg(self) -> np.ndarray:
         """(K, 3) pitch, roll, yaw in degrees on the host, NaN where there is no attitude."""
-        return self._masked(np.rad2deg(euler_from_quat(self.q_nb)))
+        return self._masked(np.rad2deg(_euler(self.q_nb)))
 
     @property
     def heading_deg(self) -> np.ndarray:
         """(K,) clockwise from north, 0..360 deg, on the host, NaN where there is no attitude."""
-        return self._masked(heading_deg(euler_from_quat(self.q_nb)[..., 2]))
+        return self._masked(_heading(self.q_nb))
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """Everything a file should hold, as NumPy arrays; NaN where there is no attitude yet."""
         out = {
-            "t": np.asarray(self.time),
+            "t": np.round(np.asarray(self.time), 9),  # sums of intervals carry rounding that nobody wants to read
             "C_nb": self.C_nb,
             "q_nb": self._masked(self.q_nb),
             "euler_deg": self.euler_deg,

@@ -126,8 +126,9 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
     whole = _Record.of(epochs)
     found, record = method.find(whole, rows), whole.at(rows)
     defined = found.defined
-    spread = Spread.of(whole.alpha, jnp.ones(count, bool)).cumulated()
-    observable = jax.tree.map(lambda x: x[rows], spread).observable(epochs.aid_sd) & defined
+    steps = jax.tree.map(lambda x: jnp.diff(x, prepend=x[:1]), whole.alpha)
+    spread = Spread.of(steps, np.arange(count) > 0).cumulated()
+    observable = jax.tree.map(lambda x: x[rows], spread).observable(epochs.aid_sd, steps=True) & defined
     bits = jnp.where(defined, 0, int(Status.UNDEFINED))
     bits = bits + jnp.where(observable, 0, int(Status.HEADING_UNOBSERVABLE))
     one = jnp.ones_like(record.time)
@@ -144,7 +145,7 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
         beta=found.beta.array,
         sd=None,
         status=bits.astype(jnp.int32),
-        aid_sd=epochs.aid_sd,
+        aid_sd=epochs.aid_sd * one,
     )
 
 

@@ -274,12 +274,6 @@ class Mat3:
     __rmul__ = __mul__
 
     @property
-    def transpose(self) -> Mat3:
-        """The transposed matrix."""
-        a, b, c = self.r0, self.r1, self.r2
-        return Mat3(Vec3(a.x, b.x, c.x), Vec3(a.y, b.y, c.y), Vec3(a.z, b.z, c.z))
-
-    @property
     def trace(self) -> Any:
         """Sum of the diagonal."""
         return self.r0.x + self.r1.y + self.r2.z

@@ -146,8 +146,24 @@ def test_short_records(samples):
     assert (found is None) == (samples < 13)
 
 
-def test_scattered_vectors_give_none():
+def test_scattered_vectors_serve_too():
+    """Every third one missing (or fixes of a slow aid among faster epochs): differences skip them."""
     alpha, beta, valid = _record(np.random.default_rng(24))
+    whole = white_noise_sd(alpha, beta, valid)
     valid[::3] = False
-    assert white_noise_sd(alpha, beta, valid) is None
+    assert white_noise_sd(alpha, beta, valid) == pytest.approx(whole, rel=0.2)
     assert white_noise_sd(alpha, beta, np.zeros_like(valid)) is None
+
+
+def test_absurd_vectors_give_none():
+    alpha, beta, valid = _record(np.random.default_rng(24))
+    alpha[7] = np.inf
+    assert white_noise_sd(alpha, beta, valid) is None
+    assert np.isfinite(white_noise_sd(np.where(np.isinf(alpha), 1e160, alpha), beta, valid))
+
+
+def test_steps_of_a_random_walk():
+    rng = np.random.default_rng(25)
+    alpha = np.outer(np.arange(2000.0), [0.1, -0.2, 9.8])
+    walk = np.cumsum(rng.normal(scale=0.02, size=alpha.shape), axis=0)
+    assert white_noise_sd(alpha, alpha + walk, np.ones(2000, bool), walk=True) == pytest.approx(0.02, rel=0.1)

@@ -61,7 +61,9 @@ def moving_table(logs: list[Log]) -> list[str]:
             assert error is not None
             cells = [f"{error[at(time, t), 2]:+.3f}" for t in (100, 200, 300, time[-1])]
             tilt = np.linalg.norm(error[at(time, 300), :2])
-            out.append(f"| {log.name} | {label} | {float(solution.aid_sd):.4f} | {' | '.join(cells)} | {tilt:.4f} |")
+            out.append(
+                f"| {log.name} | {label} | {float(solution.aid_sd[-1]):.4f} | {' | '.join(cells)} | {tilt:.4f} |"
+            )
     return out
 
 

@@ -10,6 +10,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from jaxalign.errors import UserError
 
@@ -32,6 +33,14 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _require_device(jax: ModuleType) -> None:
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:
+        where = os.environ.get("JAX_PLATFORMS", "")
+        raise UserError(f"JAX finds no device (JAX_PLATFORMS={where!r}): unset it or set it to cpu; {error}") from None
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     import jax
@@ -39,16 +48,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)  # an application may; the library itself never does
     options = parser().parse_args(arguments)
     try:
-        return options.run(options)
+        _require_device(jax)
+        code = options.run(options)
+        sys.stdout.flush()
+        return code
     except UserError as error:
         print(f"jaxalign: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("jaxalign: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader of our output has gone (head, less): not an error
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):  # the reader of our output has gone (head, less): not an error
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        print(f"jaxalign: error: cannot write the output: {error.strerror or error}", file=sys.stderr)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return 2
 
 
 def entry() -> None:

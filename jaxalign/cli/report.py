@@ -27,7 +27,8 @@ def add_log_arguments(command: argparse.ArgumentParser) -> None:
         "--aid-sd",
         type=float,
         metavar="V",
-        help="standard deviation of the velocity aid's white noise, m/s (default: what the log says, else estimated)",
+        help="standard deviation of the velocity aid's white noise, m/s; for a method that takes the vehicle as "
+        "standing, of the force integrated over an epoch (default: what the log says, else estimated from it)",
     )
 
 

@@ -59,9 +59,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     Raises:
         UserError: the place cannot be written to.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))  # write through a link, do not replace it
     if path.is_dir():
         raise UserError(f"{path} is a folder: give a file to write")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path} is no ordinary file: give a file to write")
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         stream = open(part, "xb")  # noqa: SIM115 - closed below, before the file is put in place

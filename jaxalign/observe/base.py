@@ -23,7 +23,7 @@ class Context(eqx.Module):
         time: s since epoch 0.
         attitude: q_n0b0 of the last read-out (the identity until ``defined``).
         defined: whether that attitude is unique (relative eigengap above rounding).
-        sd: standard deviation of the aid's white noise per axis, m/s.
+        sd: standard deviation of the aid's white noise per axis, m/s (standing: of the force over one interval).
         fresh: whether that attitude is at most one epoch old (static): a read-out that iterates on it may stop early.
     """
 
@@ -40,10 +40,10 @@ class Pair(eqx.Module):
 
     Attributes:
         alpha: in n0.
-        beta: in b0, complete: with the Coriolis term of the latest attitude.
+        beta: in b0, complete: with the Coriolis term of the last attitude read out.
         valid: whether to use it; where False the vectors are finite but stale.
-        clean: of the two, the one without the aid's noise, integrated from the start whatever the window; its
-            spread of directions says when the heading becomes observable.
+        clean: of the two, the one without the aid's noise, whose spread says when the heading becomes observable:
+            integrated from the start whatever the window, or the step of the interval (``AbstractObserve.steps``).
         open_beta: beta without the term that depends on the attitude sought.
         moment: P with ``beta = open_beta + (C_b0n0 w_ie) x P``, m; None where beta does not depend on the
             attitude. Estimators use it to correct the whole past at once.
@@ -58,16 +58,17 @@ class Pair(eqx.Module):
     moment: Vec3 | None
     w_ie: Vec3
 
-    @property
-    def residual(self) -> Any:
-        """A function of q_n0b0 giving ``alpha - C_n0b0 beta`` (m/s, in n0)."""
-        return lambda attitude: self.alpha - attitude.rotate(self.beta)
+    def residual(self, attitude: Quat) -> Vec3:
+        """``alpha - C_n0b0 beta`` (m/s, in n0) for an attitude q_n0b0."""
+        return self.alpha - attitude.rotate(self.beta)
 
 
 class AbstractObserve(eqx.Module):
     """Slot: epochs to vector pairs. The state must carry ``q_b0b`` and ``q_n0n`` (b and n since the start)."""
 
     aid: ClassVar[str]
+    steps: ClassVar[bool] = False
+    """Whether ``Pair.clean`` is the step of the interval, and the aid's noise that of a step (a standing vehicle)."""
     interval_samples: eqx.AbstractVar[int | None]
 
     @property

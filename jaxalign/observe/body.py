@@ -45,7 +45,9 @@ class BodyVelocity(AbstractObserve):
             until there is one); then the transport rate comes from the previous epoch too and the latitude stays
             that of the start. Recursive costs up to 0.05 deg at 60 s and 0.003 deg at 300 s without noise.
         transport_rate: feed the rotation of n over the Earth back from the velocity and the running attitude
-            (default), or neglect it, as published: a yaw bias of -v_N / (R w_ie cos(lat)), 0.43 deg at 3 m/s.
+            (default), or neglect it, as published: a yaw bias of -v_N / (R w_ie cos(lat)), 0.43 deg at 3 m/s. Fed
+            back, the errors of the early attitude stay in n: without noise 0.002 deg at 60 s for 5 m/s, 0.1 deg for
+            100 m/s (0.01 deg at 300 s).
         window: length of the window in seconds, 0 for the whole time.
         interval_samples: IMU samples per epoch; None: as the log has it.
 

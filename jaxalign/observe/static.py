@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
+from jaxalign.errors import UserError
 from jaxalign.observe.base import AbstractObserve, Context, Pair
 from jaxalign.observe.frames import Place, gravity_impulse, turn
 from jaxalign.observe.options import check_choice, check_interval, check_window, optional_count
@@ -40,6 +41,7 @@ class Static(AbstractObserve):
     """
 
     aid: ClassVar[str] = "static"
+    steps: ClassVar[bool] = True
     vectors: Literal["integrated", "instantaneous"] = eqx.field(static=True, default="integrated")
     window: float = eqx.field(static=True, default=0.0)
     interval_samples: int | None = optional_count()
@@ -47,6 +49,8 @@ class Static(AbstractObserve):
     def __check_init__(self):
         check_choice("observe.vectors", self.vectors, ("integrated", "instantaneous"))
         check_window(self.window)
+        if self.window and self.vectors == "instantaneous":
+            raise UserError("observe.window means nothing for instantaneous vectors: leave it at 0, or take velocity_q")
         check_interval(self.interval_samples)
 
     def init(self, site: Site, interval: float) -> Any:
@@ -68,6 +72,6 @@ class Static(AbstractObserve):
             s.sums.beta + s.q_b0b.rotate(epoch.dvel),
             None,
         )
-        held, pair, valid, since = s.window.push(context.index, sums, epoch.valid)
+        held, pair, valid, _ = s.window.push(context.index, sums, epoch.valid)
         new = _State(q_b0b, q_n0n, sums, held, s.rate, s.gravity)
-        return new, Pair(pair.alpha, pair.beta, valid, since.alpha, pair.beta, None, s.rate)
+        return new, Pair(pair.alpha, pair.beta, valid, sums.alpha - s.sums.alpha, pair.beta, None, s.rate)

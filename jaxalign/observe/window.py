@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from jaxalign.errors import UserError
 from jaxalign.vector import Vec3, where
 
 __all__ = ["Previous", "Sliding", "Sums", "Whole", "window"]
@@ -62,11 +63,15 @@ class Previous(eqx.Module):
 
 
 class Sliding(eqx.Module):
-    """Over the last L epochs (fewer at the beginning): a ring buffer of the sums."""
+    """Over the last L epochs (fewer at the beginning): a ring buffer of the sums.
+
+    Where the aid has no sample L epochs ago, the window reaches back to the last one before; it never stops.
+    """
 
     whole: Whole
-    history: Sums
-    known: Bool[Array, " window"]
+    last: Sums  # at the last valid epoch
+    history: Sums  # last valid sums at each of the last L epochs
+    known: Bool[Array, " window"]  # whether there had been any
 
     @property
     def started(self) -> Any:
@@ -74,16 +79,18 @@ class Sliding(eqx.Module):
         return self.whole.started
 
     def push(self, index: Int[Array, ""], sums: Sums, valid: Any) -> tuple[Sliding, Sums, Any, Sums]:
-        """As :meth:`Whole.push`; a vector needs both ends of its window."""
+        """As :meth:`Whole.push`."""
         length = self.known.shape[-1]
         slot = index % length
-        full = index >= length
         whole, _, _, since = self.whole.push(index, sums, valid)
         old = jax.tree.map(lambda buffer: buffer[slot], self.history)
-        difference = sums - where(full, old, whole.start)
-        usable = valid & jnp.where(full, self.known[slot], True)
-        history = jax.tree.map(lambda buffer, x: buffer.at[slot].set(x), self.history, sums)
-        return Sliding(whole, history, self.known.at[slot].set(valid)), difference, usable, since
+        difference = sums - where((index >= length) & self.known[slot], old, whole.start)
+        last = where(valid, sums, self.last)
+        history = jax.tree.map(lambda buffer, x: buffer.at[slot].set(x), self.history, last)
+        return Sliding(whole, last, history, self.known.at[slot].set(whole.started)), difference, valid, since
+
+
+_MOST = 1_000_000  # epochs of a window: beyond, a slip of the pen rather than a wish
 
 
 def window(seconds: float, interval: float, sums: Sums) -> Whole | Sliding:
@@ -93,10 +100,15 @@ def window(seconds: float, interval: float, sums: Sums) -> Whole | Sliding:
         seconds: length; rounded to whole epochs, at least one.
         interval: seconds between epochs.
         sums: all-zero sums of the right structure.
+
+    Raises:
+        UserError: an absurd length.
     """
     whole = Whole(sums, jnp.zeros((), bool))
     if seconds == 0:
         return whole
     length = max(1, round(seconds / interval))
+    if length > _MOST:
+        raise UserError(f"observe.window = {seconds:g} s is {length} epochs: at most {_MOST}, or 0 for the whole time")
     buffers = jax.tree.map(lambda x: jnp.zeros(length, x.dtype), sums)
-    return Sliding(whole, buffers, jnp.zeros(length, bool))
+    return Sliding(whole, sums, buffers, jnp.zeros(length, bool))

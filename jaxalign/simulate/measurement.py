@@ -29,6 +29,9 @@ __all__ = ["AidKind", "Scenario", "aid_velocity", "imu_increments", "log_of", "m
 AidKind = Literal["static", "body", "nav"]
 
 
+_MOST_SAMPLES = 2e7  # some 10 GB while the truth is made
+
+
 class Scenario(eqx.Module):
     """All that a simulated log depends on, but the seed.
 
@@ -69,6 +72,10 @@ class Scenario(eqx.Module):
             raise UserError(f"imu_rate: must be a positive number of Hz, got {self.imu_rate!r}")
         if isinstance(self.aid_every, bool) or not isinstance(self.aid_every, int) or self.aid_every < 1:
             raise UserError(f"aid_every: must be a whole number of IMU samples, got {self.aid_every!r}")
+        if self.duration * self.imu_rate > _MOST_SAMPLES:
+            raise UserError(
+                f"duration: {self.duration:g} s at {self.imu_rate:g} Hz are more than {_MOST_SAMPLES:.0e} IMU samples"
+            )
         epochs = self.duration * self.imu_rate / self.aid_every
         if not 1 <= epochs < np.inf or abs(epochs - round(epochs)) > 1e-6:
             raise UserError(
@@ -193,6 +200,8 @@ def log_of(scenario: Scenario, truth: Truth, seed: int, noise: bool = True) -> L
     choice(noise, "noise", (True, False))
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
         raise UserError(f"seed: must be a whole number, got {seed!r}")
+    if not 0 <= seed < 2**63:
+        raise UserError(f"seed: must be from 0 to 2^63 - 1, got {seed}")
     if truth.dtheta.shape[0] != scenario.samples or truth.aid_every != scenario.aid_every:
         raise UserError(
             f"truth: {truth.dtheta.shape[0]} samples in epochs of {truth.aid_every} do not belong to "

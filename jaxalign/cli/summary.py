@@ -1,0 +1,144 @@
+"""What a person wants to read of an alignment, line by line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxalign.cli.report import table
+from jaxalign.log import Log
+from jaxalign.metrics import attitude_error_deg
+from jaxalign.solution import Solution, Status
+
+__all__ = ["misfit", "summary"]
+
+_ROWS = 12  # of the table
+_SUSPECT, _BROKEN = 3.0, 30.0  # misfits, in standard deviations of the noise
+_AIDS = {"static": "no aid (standing)", "body": "body velocity", "nav": "navigation velocity"}
+
+
+def _slot(method: Any, name: str) -> Any:
+    """An option of the observation slot, or of a whole-record method."""
+    return getattr(getattr(method, "observe", method), name, None)
+
+
+def misfit(solution: Solution, method: Any, interval: float) -> float:
+    """RMS of the residual across the vector, per axis, in standard deviations of the noise assumed.
+
+    Along the vector a misfit (accelerometer bias along the vertical) moves no attitude. For a standing vehicle the
+    noise is that of one interval, so sums since the start are differenced first.
+
+    Args:
+        solution: of one log.
+        method: that found it.
+        interval: seconds between epochs.
+
+    Returns:
+        The ratio; NaN where there are fewer than three vectors.
+    """
+    used = np.asarray(solution.defined) & (np.asarray(solution.weight) > 0)
+    alpha, residual = np.asarray(solution.alpha)[used], np.asarray(solution.residual)[used]
+    time, sd = np.asarray(solution.time)[used], float(solution.aid_sd[-1])
+    if len(alpha) < 3:
+        return float("nan")
+    direction = alpha / np.linalg.norm(alpha, axis=1, keepdims=True)
+    across = residual - np.sum(residual * direction, axis=1, keepdims=True) * direction
+    if method.aid != "static":
+        sd *= np.sqrt(2.0)  # two velocities in each vector
+    elif _slot(method, "vectors") == "integrated":
+        across = np.diff(across, axis=0) / np.sqrt(np.diff(time) / interval)[:, None]
+    return float(np.sqrt(np.mean(np.sum(across**2, axis=1)) / 2.0)) / sd
+
+
+def _attitudes(log: Log, solution: Solution, error: np.ndarray | None) -> str:
+    numbers = solution.to_numpy()
+    time, status = numbers["t"] + log.t0, numbers["status"]
+    head = ["time s", "pitch deg", "roll deg", "heading deg", "observable", "residual m/s"]
+    rows = []
+    for k in np.unique(np.linspace(min(1, len(time) - 1), len(time) - 1, _ROWS).round().astype(int)):
+        pitch, roll, _ = numbers["euler_deg"][k]
+        size = float(np.linalg.norm(numbers["residual"][k]))
+        rows.append(
+            [
+                f"{time[k]:.1f}",
+                f"{pitch:.4f}",
+                f"{roll:.4f}",
+                f"{numbers['heading_deg'][k]:.3f}",
+                "yes" if numbers["observable"][k] else "no",
+                "no aid" if status[k] & Status.AID_MISSING else f"{size:.4f}",
+            ]
+        )
+        if error is not None:
+            rows[-1].append(f"{error[k, 2]:.3f}")
+    return table(head if error is None else [*head, "heading error deg"], rows).replace("nan", " - ")
+
+
+def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[str]:
+    """How far to trust the heading."""
+    out = []
+    time, seen = np.asarray(solution.time) + log.t0, np.asarray(solution.observable)
+    noise = "noise of the force" if method.aid == "static" else "noise of the aid"
+    if seen[-1]:
+        first = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else 0
+        steps = np.diff(np.asarray(solution.time))
+        sparse = " (rows are that far apart)" if steps.size and steps.max() > 1.5 * interval else ""
+        out.append(f"heading observable from {time[first]:.1f} s on{sparse}, as far as the {noise} is concerned")
+    else:
+        out.append(f"heading NOT observable: the directions never open beyond the {noise}; pitch and roll only")
+    ratio = misfit(solution, method, interval)
+    if ratio > _BROKEN:
+        out.append(
+            f"  but the vectors miss by {ratio:.0f} times that noise: the model does not fit (biases of a low-cost "
+            "unit? wrong site, axes or units?): do not trust the heading"
+        )
+    elif ratio > _SUSPECT:
+        out.append(
+            f"  but the vectors miss by {ratio:.0f} times that noise: slow errors rule (sensor biases, drift of the "
+            "aid, disturbance): the heading is less certain than the noise alone would make it"
+        )
+    used = np.asarray(solution.defined) & (np.asarray(solution.weight) > 0)
+    if used.any():
+        size = np.linalg.norm(np.asarray(solution.residual)[used], axis=1) / np.sqrt(3)
+        out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s")
+    if method.aid != "static" and log.missing.any():
+        out.append(f"aid missing at {int(log.missing.sum())} of {log.epochs + 1} of its epochs: skipped and bridged")
+    if np.asarray(solution.status)[-1] & Status.NON_FINITE:
+        out.append("THE RESULT IS NOT FINITE: the data overflow somewhere; do not use it")
+    return out
+
+
+def summary(log: Log, name: str, method: Any, solution: Solution, estimated: bool) -> list[str]:
+    """All of it.
+
+    Args:
+        log: that was aligned.
+        name: of the method.
+        method: itself.
+        solution: what it found.
+        estimated: whether the noise was estimated from the log.
+    """
+    interval = (_slot(method, "interval_samples") or log.aid_every) * log.dt
+    kind = "white noise of the aid"
+    if method.aid == "static":
+        kind = f"noise of the force, integrated over {interval:g} s,"
+    error = attitude_error_deg(solution, log)
+    pitch, roll, _ = solution.euler_deg[-1]
+    out = [
+        f"{log.name}: {_AIDS[log.aid]}, {log.duration:g} s, IMU {1 / log.dt:g} Hz, epochs of {interval:g} s",
+        f"method {name}; {kind} {float(solution.aid_sd[-1]):.2g} m/s "
+        f"({'estimated from the data' if estimated else 'as stated'})",
+        *(f"warning: {warning}" for warning in log.warnings),
+        "",
+        _attitudes(log, solution, error),
+        "",
+        *_trust(log, method, solution, interval),
+    ]
+    if error is not None:
+        e, n, u = error[-1]
+        out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")
+    end = float(solution.time[-1]) + log.t0
+    out.append(
+        f"at {end:.1f} s: pitch {pitch:.4f} deg, roll {roll:.4f} deg, heading {solution.heading_deg[-1]:.3f} deg"
+    )
+    return out
