@@ -1,0 +1,17 @@
+"""Bands in which a sample must lie."""
+
+import numpy as np
+from scipy import stats
+
+
+def assert_variance(x, sd):
+    """The sample variance lies in the central 99.99 % of its distribution."""
+    n = x.size
+    low, high = stats.chi2.ppf([5e-5, 1 - 5e-5], n) / n
+    assert low < np.mean(np.square(x / sd)) < high
+
+
+def assert_rate(hits, trials, probability):
+    """The number of hits lies in the central 99.99 % of the binomial distribution."""
+    low, high = stats.binom.ppf([5e-5, 1 - 5e-5], trials, probability)
+    assert low <= hits <= high
