@@ -30,7 +30,7 @@ from jaxalign.reconstruct import AbstractReconstruct, Measured
 from jaxalign.solution import Solution, Status
 from jaxalign.two_vector import AbstractRecordMethod, DualVector, MeanTriad
 from jaxalign.vector import Mat3, Quat, Vec3
-from jaxalign.weight import AbstractWeight, Unit
+from jaxalign.weight import AbstractWeight, Huber, Mahalanobis, Unit
 
 __version__ = "0.1.0"
 
@@ -48,8 +48,10 @@ __all__ = [
     "DualVector",
     "Epoch",
     "Epochs",
+    "Huber",
     "Increment",
     "Log",
+    "Mahalanobis",
     "Mat3",
     "MeanTriad",
     "Measured",

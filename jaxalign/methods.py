@@ -17,6 +17,7 @@ from jaxalign.estimate import CentredWahba, QMethod
 from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
 from jaxalign.parameters import with_parameters
 from jaxalign.two_vector import DualVector, MeanTriad
+from jaxalign.weight import Huber, Mahalanobis
 
 __all__ = [
     "RECIPES",
@@ -25,8 +26,10 @@ __all__ = [
     "centred_oba",
     "dual_vector",
     "gravity_q",
+    "moba",
     "oba",
     "observer",
+    "roba",
     "triad",
     "velocity_q",
 ]
@@ -97,6 +100,18 @@ def velocity_q(aid: Aid = "static", **options: Any) -> Aligner:
 def oba(aid: Aid = "body", **options: Any) -> Aligner:
     """Optimisation-based alignment: q-method on velocity vectors integrated since the start."""
     return Aligner(observer(aid, **options), estimate=QMethod())
+
+
+@_recipe("body", "nav", source="shen2025's ROBA; residuals as defined here")
+def roba(aid: Aid = "body", **options: Any) -> Aligner:
+    """Robust OBA: Huber's weight on the residual of each vector."""
+    return Aligner(observer(aid, **options), weight=Huber(), estimate=QMethod())
+
+
+@_recipe("body", "nav", source="shen2025 (9)-(17), Appendix A")
+def moba(aid: Aid = "body", **options: Any) -> Aligner:
+    """Mahalanobis OBA: vectors whose misfit in length is unlike its history are weighted down."""
+    return Aligner(observer(aid, **options), weight=Mahalanobis(), estimate=QMethod())
 
 
 @_recipe("body", "nav", source="none of the papers: Wahba's problem with the first velocity eliminated")

@@ -59,10 +59,11 @@ def test_online_equals_offline(name, aid):
     method, epochs = method_of(name, aid), epochs_of(aid)
     whole = solver()(method, epochs)
     state = method.init(epochs.site, epochs.interval, epochs.aid_sd)
-    step = jax.jit(method.step)
+    step = eqx.filter_jit(method.step)
     for k in range(len(epochs)):
         state, row = step(state, jax.tree.map(lambda x, k=k: x[k], epochs.rows))
-        assert angle(row.q_nb, whole.q_nb[k]) < 1e-12
+        rounding = 4e-16 / max(float(whole.eigengap[k]), 1e-15) if whole.defined[k] else 0.0
+        assert angle(row.q_nb, whole.q_nb[k]) < 1e-12 + rounding
         assert row.status == whole.status[k]
 
 
@@ -86,11 +87,11 @@ def test_sparse_readout(name, aid, every):
     full, sparse = solver()(method, epochs), solver(every)(method, epochs)
     index = np.unique([*range(0, EPOCHS + 1, min(every, EPOCHS)), EPOCHS])
     np.testing.assert_allclose(sparse.time, full.time[index])
-    if aid != "body":
+    if aid == "body" or name == "roba":  # the transport rate, or the residual, has an older attitude
+        assert np.rad2deg(angle(full.q_nb[-1], sparse.q_nb[-1])) < (0.1 if aid == "body" else 2.0)
+    else:
         late = np.asarray(sparse.time) > 20
         assert angle(full.q_nb[index], sparse.q_nb)[late].max() < 1e-9
-    else:  # the transport rate waits for the first read-out
-        assert np.rad2deg(angle(full.q_nb[-1], sparse.q_nb[-1])) < 0.1
 
 
 @moving
@@ -147,8 +148,9 @@ def test_gradients(name, aid):
     value = jax.jit(loss)
     forward, reverse = jax.jit(jax.jacfwd(loss))(at), jax.jit(jax.jacrev(loss))(at)
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-12)
-    for i in range(2):
-        for h in (1e-3, 2e-4):  # m/s, rad; smaller steps meet the rounding of an early eigenproblem
+    # m/s, rad: larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem.
+    for i, steps in enumerate(((1e-3, 2e-4), (5e-5, 2e-5))):
+        for h in steps:
             e = jnp.zeros(2).at[i].set(h)
             numeric = (value(at + e) - value(at - e)) / (2 * h)
             np.testing.assert_allclose(forward[i], numeric, rtol=1e-4, atol=2e-7)

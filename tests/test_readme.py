@@ -24,7 +24,7 @@ def test_python(tmp_path, monkeypatch, capsys):
     assert len(code) == 4
     for block in code:
         exec(compile(block, "README.md", "exec"), space)
-    assert space["milder"].weight.gamma == 4.0
+    assert space["milder"].weight.cutoff == 8.0
     assert all(abs(float(x)) > 0 for x in space["gradient"])
     errors = dict(
         re.findall(r"^(plain|robust) heading error at the end (\S+) deg$", capsys.readouterr().out, flags=re.M)

@@ -1,0 +1,91 @@
+"""Weights from the Mahalanobis distance of a pair's misfit in length, judged by its own history."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxalign.observe import Context, Pair
+from jaxalign.observe.options import check_choice
+from jaxalign.parameters import tunable
+from jaxalign.vector import where
+from jaxalign.weight.base import AbstractWeight
+
+__all__ = ["Mahalanobis"]
+
+
+class _Moments(eqx.Module):
+    """Number, mean and sum of squared deviations of what has been seen."""
+
+    count: Float[Array, ""]
+    mean: Float[Array, ""]
+    squares: Float[Array, ""]
+
+    def plus(self, x: Any) -> _Moments:
+        count = self.count + 1.0
+        mean = self.mean + (x - self.mean) / count
+        return _Moments(count, mean, self.squares + (x - self.mean) * (x - mean))
+
+
+class Mahalanobis(AbstractWeight):
+    """Weight ``exp(-(D / delta)^gamma)`` where ``D > mean(D) + threshold sd(D)`` over the history, else one.
+
+    ``D = |h - mu| / sqrt(Sigma)`` with ``h = |beta| - |alpha|``; mu and Sigma are those of the pairs not found
+    outlying.
+
+    Attributes:
+        gamma: exponent ("exponential control" of the paper).
+        delta: scale of D.
+        threshold: of the criterion, in standard deviations of D.
+        statistics: "all" (default): every D enters its own mean and deviation, as published, so that large outliers
+            mask smaller ones; "inliers": only those found inlying, which tightens by itself and locks good data out
+            when h drifts (accelerometer bias): use it with a sliding window.
+
+    h sees only errors along the vector, which is nearly vertical: outliers of a horizontal axis alone pass.
+
+    Source: Shen 2025 (9)-(17), Appendix A. Deviations: h is the difference of the lengths, not of their squares (it
+        is then
+    stationary); the recursion of Sigma is (n-1)/n Sigma + (n-1)/n^2 (h - mu)^2, started from one pseudo-sample with
+    mu = 0 and Sigma = the number of the aid's standard deviation (as the frozen reference has it, literally); before
+    two distances are known their deviation is taken as delta.
+    """
+
+    gamma: Float[Array, ""] = tunable(4.0, unit="1", bounds=(0.5, 16.0))
+    delta: Float[Array, ""] = tunable(5.0239, unit="1", bounds=(0.1, 50.0))
+    threshold: Float[Array, ""] = tunable(2.0, unit="1", bounds=(0.1, 10.0))
+    statistics: Literal["all", "inliers"] = eqx.field(static=True, default="all")
+
+    def __check_init__(self):
+        check_choice("weight.statistics", self.statistics, ("all", "inliers"))
+
+    def init(self) -> Any:
+        """Nothing seen; the pseudo-sample enters with the first step, which knows the aid's noise."""
+        zero = jnp.zeros((), jnp.float64)
+        nothing = _Moments(zero, zero, zero)
+        return nothing, nothing
+
+    def step(self, state: Any, context: Context, pair: Pair) -> tuple[Any, Any]:
+        """Weigh one pair."""
+        lengths, distances = state
+        lengths = where(lengths.count > 0, lengths, _Moments(lengths.count + 1.0, lengths.mean, context.sd))
+        h = pair.beta.norm() - pair.alpha.norm()
+        distance = jnp.abs(h - lengths.mean) / jnp.sqrt(lengths.squares / lengths.count)
+        several = distances.count > 1
+        variance = distances.squares / jnp.where(several, distances.count - 1.0, 1.0)
+        positive = several & (variance > 0)
+        deviation = jnp.where(positive, jnp.sqrt(jnp.where(positive, variance, 1.0)), 0.0)
+        limit = jnp.where(several, distances.mean + self.threshold * deviation, self.threshold * self.delta)
+        outlying = distance > limit
+        some = distance > 0
+        ratio = jnp.where(some, distance / self.delta, 1.0)
+        weight = jnp.where(outlying & some, jnp.exp(-(ratio**self.gamma)), 1.0)
+        # The pair of the first epoch is null: it says nothing.
+        used = pair.valid & (pair.clean.norm2() > 0)
+        counted = used if self.statistics == "all" else used & ~outlying
+        return (
+            where(used & ~outlying, lengths.plus(h), lengths),
+            where(counted, distances.plus(distance), distances),
+        ), weight
