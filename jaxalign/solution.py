@@ -45,8 +45,9 @@ class Solution(eqx.Module):
         time: (K,) s since epoch 0.
         q_nb: (K, 4) attitude, scalar part >= 0.
         defined: (K,) whether the attitude is unique.
-        observable: (K,) whether the directions have opened beyond the noise, so that the heading is known to some
-            10-15 deg as far as that noise is concerned; see :class:`jaxalign.spread.Spread`. It knows nothing of
+        observable: (K,) whether the directions have opened beyond the noise, so that the heading begins to mean
+            something (some 20 deg rms where the flag turns, 40 deg in single runs); see
+            :class:`jaxalign.spread.Spread`. It knows nothing of
             sensor biases or of a disturbance that is not white.
         eigengap: (K,) relative gap of the 4x4 problem (0 where the method has none); it measures aid noise early on.
         residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0.

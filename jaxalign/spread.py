@@ -47,7 +47,7 @@ class Spread(eqx.Module):
         return jax.tree.map(lambda x: jnp.cumsum(x, axis=0), self)
 
     def observable(self, sd: Any, steps: bool = False) -> Bool[Array, "*shape"]:
-        """Whether the directions have opened beyond the noise: the heading is then known to some 10-15 deg.
+        """Whether the directions have opened beyond the noise: the heading begins to mean something (some 20 deg rms).
 
         Args:
             sd: standard deviation per axis of the noise of a vector, m/s: of the aid's velocity, or of a step.

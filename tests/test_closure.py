@@ -27,6 +27,19 @@ def test_dvl(scenario):
     assert np.linalg.norm(found.residual, axis=1)[2:].max() < 6e-3
 
 
+def test_transport_rate_errors_grow_with_the_speed():
+    """The limit that the README states, at 100 m/s: early attitudes turn the transport rate, and that stays."""
+    import dataclasses
+
+    from jaxalign.simulate import s_turn, scenario
+
+    fast = dataclasses.replace(scenario("dvl-sturn"), trajectory=s_turn(100.0))
+    log = simulate(fast, 1, noise=False)
+    error = np.abs(attitude_error_deg(align(build("oba"), log), log)[:, 2])
+    assert 0.05 < error[60] < 0.15
+    assert 0.005 < error[300] < 0.015
+
+
 def test_recursive_coriolis_costs_what_is_known():
     time, error, _, _ = run("dvl-sturn", "oba", **{"observe.coriolis": "recursive"})
     assert 0.02 < error[time >= 60].max() < 0.07
