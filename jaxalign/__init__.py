@@ -20,13 +20,23 @@ from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
 from jaxalign.errors import UserError
-from jaxalign.estimate import AbstractEstimate, CentredWahba, QMethod, Readout, davenport
+from jaxalign.estimate import (
+    AbstractEstimate,
+    CentredWahba,
+    KMatrixFilter,
+    OptimalRequest,
+    QMethod,
+    QuaternionFilter,
+    Readout,
+    Request,
+    davenport,
+)
 from jaxalign.io import read
 from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.parameters import parameters, tunable, with_parameters
 from jaxalign.preintegrate import Increment, preintegrate
-from jaxalign.reconstruct import AbstractReconstruct, Measured
+from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Measured, Rls
 from jaxalign.solution import Solution, Status
 from jaxalign.two_vector import AbstractRecordMethod, DualVector, MeanTriad
 from jaxalign.vector import Mat3, Quat, Vec3
@@ -42,6 +52,7 @@ __all__ = [
     "AbstractWeight",
     "AlignState",
     "Aligner",
+    "ApparentVelocityFilter",
     "BodyVelocity",
     "CentredWahba",
     "Context",
@@ -50,16 +61,21 @@ __all__ = [
     "Epochs",
     "Huber",
     "Increment",
+    "KMatrixFilter",
     "Log",
     "Mahalanobis",
     "Mat3",
     "MeanTriad",
     "Measured",
     "NavVelocity",
+    "OptimalRequest",
     "Pair",
     "QMethod",
     "Quat",
+    "QuaternionFilter",
     "Readout",
+    "Request",
+    "Rls",
     "Site",
     "Solution",
     "Static",

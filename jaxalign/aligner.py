@@ -15,7 +15,7 @@ from jaxalign.aid_noise import white_noise_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_log
 from jaxalign.errors import UserError
-from jaxalign.estimate import AbstractEstimate, CentredWahba, QMethod, Readout
+from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.precision import require_x64
@@ -40,6 +40,7 @@ class AlignState(eqx.Module):
     spread: Spread
     index: Int[Array, ""]
     time: Float[Array, ""]
+    dt: Float[Array, ""]
     sd: Float[Array, ""]
     readout: Readout
     pair: Pair
@@ -51,7 +52,7 @@ class AlignState(eqx.Module):
         """What the slots may look back at."""
         defined = self.readout.defined
         attitude = where(defined, self.readout.attitude, Quat.identity())
-        return Context(self.index, self.time, attitude, defined, self.sd)
+        return Context(self.index, self.time, self.dt, attitude, defined, self.sd)
 
 
 class Aligner(eqx.Module):
@@ -74,10 +75,8 @@ class Aligner(eqx.Module):
     estimate: AbstractEstimate = eqx.field(kw_only=True)
 
     def __check_init__(self):
-        if isinstance(self.estimate, CentredWahba) and getattr(self.observe, "window", 0.0):
-            raise UserError(
-                "observe.window means nothing where the first velocity is free (centred_oba): leave it at 0"
-            )
+        for slot in (self.reconstruct, self.weight, self.estimate):
+            slot.check(self.observe)
 
     @property
     def aid(self) -> str:
@@ -94,17 +93,19 @@ class Aligner(eqx.Module):
         """
         require_x64(self, site)
         zero, v = jnp.zeros((), jnp.float64), Vec3.zero()
-        moment = v if self.observe.coupled else None
+        coupled = self.observe.coupled and self.reconstruct.keeps_moment
+        moment = v if coupled else None
         return AlignState(
             observe=self.observe.init(site, interval),
             reconstruct=self.reconstruct.init(),
             weight=self.weight.init(),
-            estimate=self.estimate.init(self.observe.coupled),
+            estimate=self.estimate.init(coupled),
             spread=Spread.zero(),
             index=jnp.full((), -1, jnp.int32),
             time=zero,
+            dt=zero,
             sd=jnp.asarray(aid_sd, jnp.float64),
-            readout=Readout(Quat.identity(), zero),
+            readout=Readout.nothing(),
             pair=Pair(v, v, jnp.zeros((), bool), v, v, moment, v),
             aided=jnp.zeros((), bool),
             used=zero,
@@ -112,7 +113,7 @@ class Aligner(eqx.Module):
 
     def update(self, state: AlignState, epoch: Epoch) -> AlignState:
         """Consume one epoch without reading out an attitude (feedback uses the last one)."""
-        state = eqx.tree_at(lambda s: (s.index, s.time), state, (state.index + 1, state.time + epoch.dt))
+        state = dataclasses.replace(state, index=state.index + 1, time=state.time + epoch.dt, dt=epoch.dt)
         context = state.context
         observe, pair = self.observe.step(state.observe, context, epoch)
         reconstruct, pair = self.reconstruct.step(state.reconstruct, context, pair)
@@ -128,6 +129,7 @@ class Aligner(eqx.Module):
             spread=spread,
             index=state.index,
             time=state.time,
+            dt=state.dt,
             sd=state.sd,
             readout=state.readout,
             pair=pair,
@@ -162,7 +164,9 @@ class Aligner(eqx.Module):
             (state.aided & (state.used == 0), Status.UNUSED),
             (~finite, Status.NON_FINITE),
         )
-        status = sum((jnp.where(condition, jnp.int32(bit), 0) for condition, bit in bits), jnp.int32(0))
+        status = readout.status + sum(
+            (jnp.where(condition, jnp.int32(bit), 0) for condition, bit in bits), jnp.int32(0)
+        )
         row = Solution(
             time=state.time,
             q_nb=q_nb.array,

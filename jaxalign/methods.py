@@ -13,9 +13,10 @@ from typing import Any
 from jaxalign.aligner import Aligner
 from jaxalign.epochs import Aid
 from jaxalign.errors import UserError, close_names
-from jaxalign.estimate import CentredWahba, QMethod
+from jaxalign.estimate import CentredWahba, KMatrixFilter, OptimalRequest, QMethod, QuaternionFilter, Request
 from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
 from jaxalign.parameters import with_parameters
+from jaxalign.reconstruct import ApparentVelocityFilter, Rls
 from jaxalign.two_vector import DualVector, MeanTriad
 from jaxalign.weight import Huber, Mahalanobis
 
@@ -29,9 +30,16 @@ __all__ = [
     "moba",
     "oba",
     "observer",
+    "optimal_request",
+    "quaternion_kf",
+    "request",
+    "rkf_oba",
+    "rls_q",
+    "rls_quaternion_kf",
     "roba",
     "triad",
     "velocity_q",
+    "vo_tvk",
 ]
 
 
@@ -112,6 +120,49 @@ def roba(aid: Aid = "body", **options: Any) -> Aligner:
 def moba(aid: Aid = "body", **options: Any) -> Aligner:
     """Mahalanobis OBA: vectors whose misfit in length is unlike its history are weighted down."""
     return Aligner(observer(aid, **options), weight=Mahalanobis(), estimate=QMethod())
+
+
+@_recipe("body", "static", source="xu2020 (27)-(40), repaired; reconstruct.as_published for the record")
+def rkf_oba(aid: Aid = "body", **options: Any) -> Aligner:
+    """OBA on vectors reconstructed by a robust Kalman filter of their apparent motion."""
+    return Aligner(observer(aid, **options), ApparentVelocityFilter(), estimate=QMethod())
+
+
+@_recipe("nav", "body", source="huang's baseline; Bar-Itzhack 1996")
+def request(aid: Aid = "nav", **options: Any) -> Aligner:
+    """REQUEST: K as a running mean of unit vectors with a fixed gain, which forgets."""
+    return Aligner(observer(aid, **options), estimate=Request())
+
+
+@_recipe("nav", "body", source="huang's baseline; Choukroun 2004")
+def optimal_request(aid: Aid = "nav", **options: Any) -> Aligner:
+    """Optimal-REQUEST: K as a running mean with the gain of a Kalman filter."""
+    return Aligner(observer(aid, **options), estimate=OptimalRequest())
+
+
+@_recipe("nav", "body", source="huang (34)-(64), regularised; estimate.kappa=0 is the printed, singular form")
+def vo_tvk(aid: Aid = "nav", **options: Any) -> Aligner:
+    """VO-TVK: the elements of K as the state of a Kalman filter."""
+    return Aligner(observer(aid, **options), estimate=KMatrixFilter())
+
+
+@_recipe("static", source="xu2017 (20)-(28), Scheme 3; vectors averaged over 1 s first")
+def quaternion_kf(aid: Aid = "static", **options: Any) -> Aligner:
+    """Quaternion Kalman filter on the directions of the specific force."""
+    return Aligner(Static(vectors="instantaneous", **options), estimate=QuaternionFilter())
+
+
+@_recipe("static", source="xu2017 (30)-(35), Scheme 4; basis scaled")
+def rls_quaternion_kf(aid: Aid = "static", **options: Any) -> Aligner:
+    """Quaternion Kalman filter on the force as fitted by recursive least squares."""
+    observe = Static(vectors="instantaneous", **options)
+    return Aligner(observe, Rls(), estimate=QuaternionFilter(averaging=0.0))
+
+
+@_recipe("static", source="xu2017 (30)-(35) with the q-method of Scheme 1")
+def rls_q(aid: Aid = "static", **options: Any) -> Aligner:
+    """q-method on the directions of the force as fitted by recursive least squares."""
+    return Aligner(Static(vectors="instantaneous", **options), Rls(), estimate=QMethod(normalise=True))
 
 
 @_recipe("body", "nav", source="none of the papers: Wahba's problem with the first velocity eliminated")

@@ -28,6 +28,8 @@ class Status(IntFlag):
     """The sums hold a NaN or an infinity; nothing after this epoch is to be used."""
     UNUSED = 16
     """The aid has a sample here, but no vector came of it, or its weight is zero."""
+    SINGULAR = 32
+    """The filter's innovation covariance was singular at some epoch: from there on it takes no vectors."""
 
 
 _dcm, _euler = jax.jit(dcm_from_quat), jax.jit(euler_from_quat)

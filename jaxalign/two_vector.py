@@ -18,34 +18,15 @@ from jaxalign.aligner import align
 from jaxalign.earth import earth_rate
 from jaxalign.epochs import Epochs, epochs_from_log
 from jaxalign.errors import UserError
+from jaxalign.estimate.triad import triad
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_interval, optional_count
-from jaxalign.rotation import quat_from_dcm
+from jaxalign.reconstruct import Rls
 from jaxalign.solution import Solution, Status
 from jaxalign.spread import Spread
-from jaxalign.vector import Mat3, Quat, Vec3, mean_rotated, where
+from jaxalign.vector import Quat, Vec3, mean_rotated, where
 
-__all__ = ["AbstractRecordMethod", "DualVector", "MeanTriad", "triad_dcm"]
-
-
-def triad_dcm(alpha: Vec3, beta: Vec3, alpha2: Vec3, beta2: Vec3) -> tuple[Mat3, Any]:
-    """TRIAD: the C with ``C beta`` along ``alpha`` exactly and ``C beta2`` in the half-plane of ``alpha2``.
-
-    Returns:
-        C, and whether it is defined: neither pair of directions is parallel (to 1e-12 in the sine).
-
-    Source: Black 1964; Xu 2017's comparison method.
-    """
-
-    def axes(first: Vec3, second: Vec3) -> tuple[Vec3, Vec3, Vec3, Any]:
-        one = first.unit()
-        normal = one.cross(second.unit())
-        two = normal.unit()
-        return one, two, one.cross(two), normal.norm2() > 1e-24
-
-    a, b = axes(alpha, alpha2), axes(beta, beta2)
-    outer = [x.outer(y) for x, y in zip(a[:3], b[:3], strict=True)]
-    return outer[0] + outer[1] + outer[2], a[3] & b[3]
+__all__ = ["AbstractRecordMethod", "DualVector", "MeanTriad"]
 
 
 class _Record(eqx.Module):
@@ -149,10 +130,6 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
     )
 
 
-def _quaternion(c: Mat3, defined: Any) -> Quat:
-    return Quat.of(quat_from_dcm(jnp.where(defined[..., None, None], c.array, jnp.eye(3))))
-
-
 class MeanTriad(AbstractRecordMethod):
     """Analytic coarse alignment: the mean specific force is up, the mean rotation is that of the Earth.
 
@@ -175,8 +152,7 @@ class MeanTriad(AbstractRecordMethod):
         r = record.at(rows)
         zero, g_time = 0.0 * r.time, r.alpha.norm()
         up, east = Vec3(zero, zero, g_time), Vec3(1.0 + zero, zero, zero)
-        c, defined = triad_dcm(up, r.force, east, r.turned.cross(r.force))
-        q = _quaternion(c, defined)
+        q, defined = triad(up, r.force, east, r.turned.cross(r.force))
         return _Found(q, defined, up, r.force, up - q.rotate(r.force))
 
 
@@ -187,7 +163,7 @@ class DualVector(AbstractRecordMethod):
         vectors: "hann" (default): force averaged with Hann windows over the first and the last part of the record,
             which on a disturbed base beats every prefilter with a boxcar; "boxcar": plain means over the same parts
             (003's inertial-frame method); "halves": velocities V(t/2), V(t) (002); "ends": force in the first and the
-            last interval (002).
+            last interval (002); "rls": the same two, each from a fit of the whole record by recursive least squares.
         fraction: length of a part, as a fraction of the record.
         interval_samples: IMU samples per epoch; None: as the log has it.
 
@@ -197,12 +173,12 @@ class DualVector(AbstractRecordMethod):
     Source: 002's comparison methods [8-12], 003's inertial-frame coarse alignment; windows ours.
     """
 
-    vectors: Literal["hann", "boxcar", "halves", "ends"] = eqx.field(static=True, default="hann")
+    vectors: Literal["hann", "boxcar", "halves", "ends", "rls"] = eqx.field(static=True, default="hann")
     fraction: float = eqx.field(static=True, default=1 / 3)
     interval_samples: int | None = optional_count()
 
     def __check_init__(self):
-        check_choice("vectors", self.vectors, ("hann", "boxcar", "halves", "ends"))
+        check_choice("vectors", self.vectors, ("hann", "boxcar", "halves", "ends", "rls"))
         check_interval(self.interval_samples)
         if not 0 < self.fraction <= 0.5:
             raise UserError(f"fraction = {self.fraction}: must be above 0 and at most 0.5 of the record")
@@ -211,8 +187,7 @@ class DualVector(AbstractRecordMethod):
         """Two vectors per read-out, then TRIAD in inertial space."""
         at = record.at(rows)
         (alpha1, beta1), (alpha2, beta2) = self._vectors(record, rows)
-        c, defined = triad_dcm(alpha2, beta2, alpha1, beta1)
-        q_n0b0 = _quaternion(c, defined)
+        q_n0b0, defined = triad(alpha2, beta2, alpha1, beta1)
         q_nb = at.q_n0n.conjugate() * q_n0b0 * at.q_b0b
         return _Found(q_nb, defined, alpha2, beta2, alpha2 - q_n0b0.rotate(beta2))
 
@@ -229,6 +204,8 @@ class DualVector(AbstractRecordMethod):
             return difference(first, zero), difference(rows, rows - first)
         if self.vectors == "halves":
             return difference(rows // 2, zero), difference(rows, zero)
+        if self.vectors == "rls":
+            return _fitted(record, rows)
         if self.vectors == "boxcar":
             return difference(length, zero), difference(rows, rows - length)
         every = np.arange(1, len(record.time))
@@ -246,3 +223,24 @@ class DualVector(AbstractRecordMethod):
             return windowed(0, n), windowed(row - n, n)
 
         return jax.lax.map(both, (jnp.asarray(rows), jnp.asarray(length)))
+
+
+def _fitted(record: _Record, rows: np.ndarray) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
+    """Increments of velocity in the first interval and in that of each read-out, beta as fitted up to the read-out."""
+    rls = Rls()
+    every = np.arange(1, len(record.time))
+    now, before = record.at(every), record.at(every - 1)
+    steps, middle = now.beta - before.beta, 0.5 * (now.time + before.time)
+
+    def fit(state: Any, step: Any) -> Any:
+        state = rls.update(state, *step)
+        return state, (rls.at(state, middle[0]), rls.at(state, step[0]))
+
+    _, fits = jax.lax.scan(fit, rls.init(), (middle, steps))
+    first, last = jax.tree.map(lambda x: x[np.maximum(rows - 1, 0)], fits)
+    one, many = np.minimum(1, rows), np.minimum(np.maximum(rows - 1, 0), rows)
+
+    def gravity(stop: Any, start: Any) -> Vec3:
+        return record.at(stop).alpha - record.at(start).alpha
+
+    return (gravity(one, 0 * rows), first), (gravity(rows, many), last)

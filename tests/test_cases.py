@@ -11,11 +11,11 @@ RECURSIVE = {"observe.coriolis": "recursive", "observe.transport_rate": False}
 FED_BACK = {**RECURSIVE, "observe.transport_rate": True}
 
 
-def difference(shared, name, result, method, scheme, rows=slice(None), aid_sd=None):
+def difference(shared, name, result, method, scheme, rows=slice(None), aid_sd=None, weights=True):
     """Largest element difference per epoch, the times, and the first epoch with an estimate on both sides."""
     arrays, log = case(shared, name)
     solution = align(method, epochs(log, scheme, method), aid_sd=aid_sd)
-    if f"w_{result}" in arrays:
+    if weights and f"w_{result}" in arrays:
         np.testing.assert_allclose(solution.weight[1:], arrays[f"w_{result}"][1:], atol=2e-5)
     ours, theirs = solution.C_nb[rows], arrays[f"est_{result}"]
     return np.abs(ours - theirs).max(axis=(1, 2)), np.asarray(solution.time)[rows], ours, theirs
@@ -48,12 +48,59 @@ def test_dvl(shared, name, result, recipe, parameters, scheme):
     assert error[time >= 50].max() < 1e-6
 
 
+ZERO = {"reconstruct.drop_constant": True, "reconstruct.process": 1e-8}
+
+
+@pytest.mark.parametrize("name", ["dvl_sturn_clean", "dvl_sturn_fixed", "dvl_accturn_clean"])
+@pytest.mark.parametrize(
+    ("result", "parameters"),
+    [
+        ("RKFW", RECURSIVE),
+        ("RKFW_wen", FED_BACK),
+        ("RKFW_exact", RECURSIVE),
+        ("RKFW_wen_exact", FED_BACK),
+        ("RKFW_zero_wen", {**FED_BACK, **ZERO}),
+        ("RKF_R_literal", {**RECURSIVE, "reconstruct.as_published": True}),
+    ],
+)
+def test_robust_kalman_reconstruction(shared, name, result, parameters):
+    method = build("rkf_oba", "body", parameters)
+    sd = 0.05 if "accturn" in name else 0.1
+    error, time, ours, theirs = difference(shared, name, result, method, "lookback", aid_sd=sd, weights=False)
+    np.testing.assert_array_equal(np.isnan(ours[:, 0, 0]), np.isnan(theirs[:, 0, 0]))
+    assert error[(time >= 10) & (time < 50)].max() < 1e-3
+    assert error[time >= 50].max() < 5e-5
+    # The printed form was frozen for the record, in another basis: no figure of its is good to 1e-6.
+    assert error[-1] < (2e-5 if "literal" in result else 1e-6)
+
+
+def test_weights_of_the_robust_kalman_filter(shared):
+    """Per axis and epoch; the frozen ones are the smallest of the three axes."""
+    import jax
+
+    arrays, log = case(shared, "dvl_sturn_fixed")
+    method = build("rkf_oba", "body", RECURSIVE)
+    data = epochs(log, "lookback", method)
+
+    def step(state, epoch):
+        state, _ = method.step(state, epoch)
+        return state, state.reconstruct.weight
+
+    start = method.init(data.site, data.interval, 0.1)
+    _, found = jax.jit(lambda state, rows: jax.lax.scan(step, state, rows))(start, data.rows)
+    smallest = np.min([found.x, found.y, found.z], axis=0)
+    np.testing.assert_allclose(smallest[2:], arrays["w_RKFW"][2:], atol=2e-3)
+
+
 def test_closed_coriolis_differs_as_known(shared):
     """Up to 0.45 deg early, 2e-3 deg at 300 s: the retroactive form is another (better) estimate."""
     method = build("oba", "body")
     error, time, _, _ = difference(shared, "dvl_sturn_clean", "OBA_wen", method, "lookback")
     assert np.deg2rad(0.01) < error[time >= 10].max() < np.deg2rad(0.5)
     assert error[-1] < np.deg2rad(2e-3)
+
+
+STILL = {"observe.transport_rate": False}
 
 
 @pytest.mark.parametrize("name", ["gps_clean_sway", "gps_noise_base"])
@@ -64,17 +111,26 @@ def test_closed_coriolis_differs_as_known(shared):
         ("wahba_unnorm", "oba", {"observe.transport_rate": False}),
         ("wahba_centred", "centred_oba", {"observe.transport_rate": False}),
         ("wahba_centred_full", "centred_oba", {}),
+        ("request_rho0.05", "request", STILL),
+        ("request_rho0.1", "request", {**STILL, "estimate.rho": 0.1}),
+        ("optrequest_constR", "optimal_request", {**STILL, "estimate.noise": "constant"}),
+        ("optrequest_physR", "optimal_request", STILL),
+        ("votvk_physR_k1", "vo_tvk", STILL),
+        ("votvk_physR_k0.1", "vo_tvk", {**STILL, "estimate.kappa": 0.1}),
+        ("votvk_constR_k1", "vo_tvk", {**STILL, "estimate.noise": "constant"}),
     ],
 )
 def test_gps(shared, name, result, recipe, parameters):
     method = build(recipe, "nav", parameters)
-    error, _, _, _ = difference(shared, name, result, method, "pairs")
+    error, _, _, _ = difference(shared, name, result, method, "pairs", aid_sd=1.0)
     gap = case(shared, name)[0][f"gap_{result}"]
     clear = np.isfinite(error) & (gap > 1e-5)
-    assert clear.sum() > 100
+    assert clear.sum() > 40
     assert np.rad2deg(error[clear].max()) < 1e-6
     usable = np.isfinite(error) & (gap > 1e-10)
-    assert np.all(error[usable] < 3e-14 / gap[usable] + 2e-8)  # elsewhere: machine epsilon over the gap
+    # Elsewhere: machine epsilon over the gap (recursions of unit vectors round more than plain sums).
+    rounding = 2e-12 if "request" in recipe or recipe == "vo_tvk" else 3e-14
+    assert np.all(error[usable] < rounding / gap[usable] + 2e-8)
 
 
 @pytest.mark.parametrize("name", ["self_sway_noisefree_300s", "self_sway_table2_300s"])
@@ -98,6 +154,37 @@ def test_self(shared, name, result, recipe, parameters):
     late = time >= 10
     assert np.rad2deg(np.abs(yaw[late]).max()) < 1e-6
     assert np.rad2deg(error[late].max()) < 2e-6
+
+
+FIXED = {"estimate.noise": "fixed", "estimate.variance": 1e-7}
+EACH = {"estimate.averaging": 0.0}
+
+
+@pytest.mark.parametrize("name", ["self_sway_noisefree_300s", "self_sway_table2_300s"])
+@pytest.mark.parametrize(
+    ("result", "recipe", "parameters", "early_deg", "late_deg"),
+    [
+        ("scheme3_cum", "quaternion_kf", EACH, 1e-6, 1e-6),
+        ("scheme3_fix", "quaternion_kf", {**EACH, **FIXED}, 1e-6, 1e-6),
+        ("scheme3_full", "quaternion_kf", {**EACH, "estimate.noise": "full"}, 2e-6, 2e-6),  # R is nearly singular
+        ("scheme4_cum", "rls_quaternion_kf", {}, 1e-2, 1e-3),
+        ("scheme4_fix", "rls_quaternion_kf", FIXED, 1e-2, 1e-3),
+        ("scheme4_full", "rls_quaternion_kf", {"estimate.noise": "full"}, 1e-2, 1e-3),
+        ("scheme4q", "rls_q", {}, 1e-2, 1e-3),
+        ("triad_rls", "dual_vector", {"vectors": "rls"}, 1e-2, 2e-3),
+    ],
+)
+def test_self_filters(shared, name, result, recipe, parameters, early_deg, late_deg):
+    """Vector by vector at 50 Hz, from the start of the case."""
+    interval = "interval_samples" if recipe == "dual_vector" else "observe.interval_samples"
+    start = {"estimate.start": case(shared, name)[0]["q0_n0b0_kf"]} if "kf" in recipe else {}
+    method = build(recipe, "static", {interval: 2, **start, **parameters})
+    error, time, ours, theirs = difference(shared, name, result, method, "pairs_series", slice(None, None, 5))
+    yaw = np.rad2deg(np.arctan2(-ours[:, 0, 1], ours[:, 1, 1]) - np.arctan2(-theirs[:, 0, 1], theirs[:, 1, 1]))
+    np.testing.assert_array_equal(np.isnan(ours[:, 0, 0]), np.isnan(theirs[:, 0, 0]))
+    assert np.abs(yaw[(time >= 10) & (time < 100)]).max() < early_deg
+    assert np.abs(yaw[time >= 100]).max() < late_deg
+    assert np.rad2deg(error[time >= 10].max()) < 2 * early_deg
 
 
 @pytest.mark.parametrize("name", ["disturbed_align_c2_10mg", "disturbed_align_real_60s"])

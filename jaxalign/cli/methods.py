@@ -37,7 +37,8 @@ def _run(options: argparse.Namespace) -> int:
             values = ", ".join(f"{path}={value}".lower() for path, value in parameters(method).items())
             print(f"{'':14s}{aid}: {values}")
             if options.name:
-                for part in (method, *(getattr(method, n, None) for n in ("observe", "weight", "estimate"))):
+                slots = (getattr(method, slot, None) for slot in ("observe", "reconstruct", "weight", "estimate"))
+                for part in (method, *slots):
                     if part is not None:
                         print(f"\n[{type(part).__name__}]\n{inspect.getdoc(type(part))}\n")
     return 0

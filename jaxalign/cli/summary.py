@@ -9,6 +9,7 @@ import numpy as np
 from jaxalign.cli.report import table
 from jaxalign.log import Log
 from jaxalign.metrics import attitude_error_deg
+from jaxalign.reconstruct import Measured
 from jaxalign.solution import Solution, Status
 
 __all__ = ["misfit", "summary"]
@@ -100,9 +101,15 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
     used = np.asarray(solution.defined) & (np.asarray(solution.weight) > 0)
     if used.any():
         size = np.linalg.norm(np.asarray(solution.residual)[used], axis=1) / np.sqrt(3)
-        out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s")
+        fitted = not isinstance(getattr(method, "reconstruct", Measured()), Measured)
+        note = " (of reconstructed vectors: they hide outliers and biases)" if fitted else ""
+        out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s{note}")
     if method.aid != "static" and log.missing.any():
         out.append(f"aid missing at {int(log.missing.sum())} of {log.epochs + 1} of its epochs: skipped and bridged")
+    singular = (np.asarray(solution.status) & Status.SINGULAR) != 0
+    if singular.any():
+        since = time[np.flatnonzero(singular)[0]]
+        out.append(f"THE FILTER IS SINGULAR from {since:.1f} s on: no vector since then was used; do not use it")
     if np.asarray(solution.status)[-1] & Status.NON_FINITE:
         out.append("THE RESULT IS NOT FINITE: the data overflow somewhere; do not use it")
     return out

@@ -118,7 +118,9 @@ def _dominant_jvp(primals, tangents):
     values, vectors = _solve(k)
     v1, l1, v2, l2 = _pick(values, vectors)
     moved = _times(dk, v1)
-    floor = 1e-12 * (abs(values[0]) + abs(values[1]) + abs(values[2]) + abs(values[3]))
+    # For a traceless K this is 1e-12 l1: the same line that Readout.of_gap draws between a unique attitude and none.
+    size = abs(values[0]) + abs(values[1]) + abs(values[2]) + abs(values[3])
+    floor = 1e-12 * jnp.maximum(abs(l1), size / 8)
     dv = [jnp.zeros_like(v1[0])] * 4
     for value, vector in zip(values, vectors, strict=True):
         gap = l1 - value

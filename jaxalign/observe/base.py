@@ -21,6 +21,7 @@ class Context(eqx.Module):
     Attributes:
         index: epoch k, from 0; negative for the empty epochs that pad a sparse read-out in front.
         time: s since epoch 0.
+        dt: length of the interval up to this epoch, s.
         attitude: q_n0b0 of the last read-out (the identity until ``defined``).
         defined: whether that attitude is unique (relative eigengap above rounding).
         sd: standard deviation of the aid's white noise per axis, m/s (standing: of the force over one interval).
@@ -29,6 +30,7 @@ class Context(eqx.Module):
 
     index: Int[Array, ""]
     time: Float[Array, ""]
+    dt: Float[Array, ""]
     attitude: Quat
     defined: Bool[Array, ""]
     sd: Float[Array, ""]

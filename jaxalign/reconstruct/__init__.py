@@ -1,5 +1,7 @@
-"""Slot: replace the measured pair by a modelled one, or pass it through."""
+"""Slot: a measured pair to a modelled one."""
 
+from jaxalign.reconstruct.apparent_velocity import ApparentVelocityFilter
 from jaxalign.reconstruct.base import AbstractReconstruct, Measured
+from jaxalign.reconstruct.rls import Rls
 
-__all__ = ["AbstractReconstruct", "Measured"]
+__all__ = ["AbstractReconstruct", "ApparentVelocityFilter", "Measured", "Rls"]

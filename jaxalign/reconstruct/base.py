@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 
-from jaxalign.observe import Context, Pair
+from jaxalign.observe import AbstractObserve, Context, Pair
 
 __all__ = ["AbstractReconstruct", "Measured"]
 
 
 class AbstractReconstruct(eqx.Module):
     """Slot: a pair in, a pair out."""
+
+    keeps_moment: ClassVar[bool] = True
+    """Whether the pair that comes out still has its ``moment``; else beta stands as the last attitude made it."""
+
+    def check(self, observe: AbstractObserve) -> None:
+        """Refuse an observation that makes no sense here (UserError); called once, when a method is put together."""
+        return None
 
     @abstractmethod
     def init(self) -> Any:

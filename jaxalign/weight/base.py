@@ -8,13 +8,17 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxalign.observe import Context, Pair
+from jaxalign.observe import AbstractObserve, Context, Pair
 
 __all__ = ["AbstractWeight", "Unit"]
 
 
 class AbstractWeight(eqx.Module):
     """Slot: a pair to a weight in [0, 1]."""
+
+    def check(self, observe: AbstractObserve) -> None:
+        """Refuse an observation that makes no sense here (UserError); called once, when a method is put together."""
+        return None
 
     @abstractmethod
     def init(self) -> Any:

@@ -1,0 +1,146 @@
+"""A Kalman filter whose state is the quaternion itself, measured by ``H(alpha, beta) q = 0``."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxalign.errors import UserError
+from jaxalign.estimate.base import AbstractEstimate, Readout
+from jaxalign.estimate.linear import solve_covariance
+from jaxalign.estimate.triad import triad
+from jaxalign.observe import Context, Pair
+from jaxalign.observe.options import check_choice
+from jaxalign.parameters import as_float64, tunable
+from jaxalign.solution import Status
+from jaxalign.vector import Quat, Vec3, where
+
+__all__ = ["QuaternionFilter"]
+
+
+class _State(eqx.Module):
+    q: Float[Array, " 4"]
+    p: Float[Array, "4 4"]
+    noise: Array  # mean of the squared residuals, a number or 4x4
+    count: Float[Array, ""]
+    started: Bool[Array, ""]
+    singular: Bool[Array, ""]
+    first: tuple[Vec3, Vec3]  # the first vectors: a start needs two
+    sums: tuple[Vec3, Vec3]
+    elapsed: Float[Array, ""]  # s, since the last measurement
+
+
+class QuaternionFilter(AbstractEstimate):
+    """Four states, each pair of unit vectors a pseudo-measurement: ``0 = (L(alpha) - R(beta)) q``, q = q_n0b0.
+
+    The noise of the vectors stands in H, where it counts as information and shrinks the covariance before the heading
+    has shown itself: taken vector by vector at 50 Hz the filter is slow, on a real log it never converges. Averaging
+    the vectors over about a second first cures most of it; the q-method needs no cure. A pair's weight divides R.
+
+    Attributes:
+        averaging: pairs are averaged over this time before they are a measurement, s; 0: each pair is one.
+        noise: of a measurement. "cumulative" (default): ``rho I`` with 4 rho the mean squared residual so far, from
+            ``variance`` on; "fixed": ``variance I``; "full": the mean of the residuals' 4x4 products, as published,
+            which makes the heading depend on the north gyro's bias: its good figures in the paper are an accident of
+            equal biases, do not use it.
+        variance: R at the start, or always. "fixed" wants half the variance of a vector's direction.
+        prior: variance of the elements of q at the start.
+        start: q_n0b0 at the start, (4,); null (default): TRIAD on the first two measurements.
+
+    Source: Xu 2017 (20)-(28), Schemes 3 and 4; which of three readings (28) means is not certain. Deviations:
+    averaging, start, Joseph form; subtracting H P H^T from the residuals (Sage-Husa) is unstable and not offered.
+    """
+
+    averaging: float = eqx.field(static=True, default=1.0)
+    noise: Literal["cumulative", "fixed", "full"] = eqx.field(static=True, default="cumulative")
+    variance: Float[Array, ""] = tunable(1e-4, unit="1", bounds=(1e-14, 10.0))
+    prior: Float[Array, ""] = tunable(1.0, unit="1", bounds=(1e-12, 1e6))
+    start: Float[Array, " 4"] = eqx.field(converter=as_float64, default=(0.0, 0.0, 0.0, 0.0))
+
+    def __check_init__(self):
+        check_choice("estimate.noise", self.noise, ("cumulative", "fixed", "full"))
+        if not 0 <= self.averaging < float("inf"):
+            raise UserError(f"estimate.averaging = {self.averaging}: must be a number of seconds, 0 for no averaging")
+        if self.start.shape != (4,):
+            raise UserError(f"estimate.start: must be a quaternion (w, x, y, z), got shape {self.start.shape}")
+
+    def init(self, coupled: bool) -> Any:
+        """Before the first measurement."""
+        zero, no, v = jnp.zeros((), jnp.float64), jnp.zeros((), bool), Vec3.zero()
+        eye = jnp.eye(4)
+        given = jnp.sum(self.start**2) > 0
+        q = Quat.of(self.start).unit().array
+        noise = self.variance * (eye if self.noise == "full" else 1.0)
+        return _State(q, self.prior * eye, noise, zero, given, no, (v, v), (v, v), zero)
+
+    def update(self, state: Any, context: Context, pair: Pair, weight: Any) -> Any:
+        """Average, and measure when the time has come."""
+        s = state
+        used = (weight > 0) & (pair.alpha.norm2() > 0)
+        here = where(used, (pair.alpha, pair.beta), (Vec3.zero(), Vec3.zero()))
+        alpha, beta = s.sums[0] + here[0], s.sums[1] + here[1]
+        elapsed = s.elapsed + context.dt
+        due = used & (elapsed >= self.averaging * (1 - 1e-6))
+        started = s.started
+        if_two, defined = triad(alpha, beta, *s.first)
+        starts = due & ~started & defined & (s.count > 0)
+        measured = self._measure(s, alpha.unit(), beta.unit(), jnp.where(used, weight, 1.0))
+        new = where(due & started, measured, s)
+        return _State(
+            q=jnp.where(starts, if_two.array, new.q),
+            p=new.p,
+            noise=new.noise,
+            count=s.count + due,
+            started=started | starts,
+            singular=new.singular,
+            first=where(due & (s.count == 0), (alpha, beta), s.first),
+            sums=where(due, (Vec3.zero(), Vec3.zero()), (alpha, beta)),
+            elapsed=jnp.where(due, 0.0, elapsed),
+        )
+
+    def _measure(self, s: _State, alpha: Vec3, beta: Vec3, weight: Any) -> _State:
+        """One Kalman update."""
+        h, eye = _matrix(alpha, beta), jnp.eye(4)
+        e = h @ s.q
+        share = 1.0 / (s.count + 2.0)
+        if self.noise == "full":
+            noise = (1.0 - share) * s.noise + share * jnp.outer(e, e)
+            r = noise + 1e-10 * eye
+        elif self.noise == "cumulative":
+            noise = (1.0 - share) * s.noise + share * jnp.sum(e * e) / 4
+            r = (noise + 1e-12) * eye
+        else:
+            noise, r = s.noise, self.variance * eye
+        r = r / weight
+        ph = s.p @ h.T
+        transposed, regular = solve_covariance(h @ ph + r, ph.T)
+        gain = transposed.T
+        rest = eye - gain @ h
+        q = Quat.of(s.q - gain @ e).unit().array
+        p = rest @ s.p @ rest.T + gain @ r @ gain.T
+        good = regular & ~s.singular
+        q, p, noise = where(good, (q, p, noise), (s.q, s.p, s.noise))
+        return dataclasses.replace(s, q=q, p=p, noise=noise, singular=s.singular | ~regular)
+
+    def readout(self, state: Any, context: Context) -> Readout:
+        """The state."""
+        defined = state.started & (state.count > 0)
+        bit = jnp.where(state.singular, jnp.int32(int(Status.SINGULAR)), 0)
+        return Readout(Quat.of(state.q), defined, jnp.zeros((), jnp.float64), bit)
+
+
+def _matrix(a: Vec3, b: Vec3) -> Float[Array, "4 4"]:
+    """``L(a) - R(b)``: null on the q with ``a = q b q*``."""
+    d, s, o = a - b, a + b, jnp.zeros_like(a.x)
+    return jnp.stack(
+        [
+            jnp.stack([o, -d.x, -d.y, -d.z]),
+            jnp.stack([d.x, o, -s.z, s.y]),
+            jnp.stack([d.y, s.z, o, -s.x]),
+            jnp.stack([d.z, -s.y, s.x, o]),
+        ]
+    )

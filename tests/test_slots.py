@@ -1,0 +1,236 @@
+"""The slots one by one: against closed forms, at their corners, and what they refuse."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numeric import assert_derivatives
+from problems import epochs_of, method_of, solver
+
+from jaxalign import (
+    Aligner,
+    ApparentVelocityFilter,
+    BodyVelocity,
+    Context,
+    KMatrixFilter,
+    Measured,
+    NavVelocity,
+    OptimalRequest,
+    Pair,
+    QMethod,
+    Quat,
+    QuaternionFilter,
+    Rls,
+    Static,
+    Status,
+    UserError,
+    Vec3,
+    align,
+    with_parameters,
+)
+from jaxalign.earth import EARTH_RATE
+from jaxalign.estimate.linear import solve_covariance
+from jaxalign.methods import build
+
+PUBLISHED_PRIOR = 1e10
+
+
+def context(time, dt=1.0, sd=0.1):
+    whole = jnp.asarray(0, jnp.int32)
+    return Context(whole, *(jnp.asarray(x) for x in (time, dt)), Quat.identity(), jnp.array(True), jnp.asarray(sd))
+
+
+def pair(beta, alpha=(0.0, 0.0, 9.8)):
+    a, b = (Vec3(*(jnp.asarray(x) for x in v)) for v in (alpha, beta))
+    return Pair(a, b, jnp.array(True), a, b, None, Vec3.zero())
+
+
+def ridge(basis, beta, noise, prior):
+    """Least squares with a prior on the coefficients, as one augmented system (QR inside lstsq)."""
+    scale = np.sqrt(noise)
+    rows = np.vstack([basis / scale, np.diag(1 / np.sqrt(prior))])
+    values = np.vstack([beta / scale, np.zeros((basis.shape[1], beta.shape[1]))])
+    return np.linalg.lstsq(rows, values, rcond=None)[0]
+
+
+def run(slot, times, betas, sd=0.1):
+    def step(state, row):
+        time, beta = row
+        state, out = slot.step(state, context(time, sd=sd), pair((beta[0], beta[1], beta[2])))
+        return state, out.beta.array
+
+    return jax.jit(lambda t, b: jax.lax.scan(step, slot.init(), (t, b)))(times, betas)[1]
+
+
+def test_rls_is_least_squares_with_the_published_prior():
+    """A wide prior as well as a narrow one, in the basis in which it was published."""
+    rng = np.random.default_rng(1)
+    times = np.arange(1.0, 121.0)
+    w, t = EARTH_RATE, times - 0.5
+    basis = np.stack([np.cos(w * t), np.sin(w * t), np.ones_like(t)], axis=1)
+    beta = basis @ rng.normal(size=(3, 3)) + rng.normal(size=(120, 3)) * 1e-3
+    for prior, tolerance in ((1e4, 1e-9), (1e8, 1e-7)):
+        ours = run(Rls(prior=prior), times, beta)
+        exact = basis[-1] @ ridge(basis, beta, 1.0, np.full(3, prior))
+        np.testing.assert_allclose(ours[-1], exact, atol=tolerance)
+
+
+def test_apparent_velocity_filter_is_least_squares_where_nothing_is_outlying():
+    rng = np.random.default_rng(2)
+    t = np.arange(1.0, 201.0)
+    w = EARTH_RATE
+    basis = np.stack([np.cos(w * t), np.sin(w * t), t, np.ones_like(t)], axis=1)
+    beta = np.stack([9.8 * np.cos(0.3 * i) * np.sin(w * t) / w for i in range(3)], axis=1) + rng.normal(size=(200, 3))
+    ours = run(ApparentVelocityFilter(gamma=100.0, process=0.0, prior=1e8), t, beta, sd=10.0)
+    exact = basis[-1] @ ridge(basis, beta, 100.0, np.full(4, 1e8))
+    np.testing.assert_allclose(ours[-1], exact, atol=1e-5)
+
+
+def test_dropped_constant_goes_through_zero_at_the_start():
+    t = np.arange(1.0, 101.0)
+    beta = np.stack([9.8 * t + 0.7, 0 * t - 0.4, 0 * t], axis=1)
+    kept, dropped = (run(ApparentVelocityFilter(drop_constant=d, gamma=100.0), t, beta, 1.0) for d in (False, True))
+    np.testing.assert_allclose(kept[-1] - dropped[-1], [0.7, -0.4, 0.0], atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["rkf_oba", "roba"])
+def test_derivatives_of_robust_weights_away_from_their_corners(name):
+    """One measurement, in the quadratic and in the linear part."""
+    method = build(name, "body")
+
+    def last(x):
+        there = context(20.0)
+        if name == "roba":
+            return method.weight.step(None, there, pair((x[0], x[1], x[2]), (0.3, 0.1, 9.8)))[1]
+        slot = with_parameters(method, {"reconstruct.prior": 1e6}).reconstruct
+        state = slot.init()
+        for time, scale in ((18.0, 1.0), (19.0, 1.01), (20.0, 1.02)):
+            state, out = slot.step(state, context(time), pair((scale * x[0], scale * x[1], x[2])))
+        return out.beta.array
+
+    assert_derivatives(last, [[0.31, 0.12, 9.81], [3.0, -1.0, 9.0], [0.2, 0.1, 60.0]], steps=(1e-3, 2e-4), third=1e3)
+
+
+def test_optimal_request_is_the_q_method():
+    """Constant R: on unit vectors. Physical R: on the vectors as they are, if beta has the length of alpha."""
+    epochs = epochs_of("nav", noise=False)
+    oba = solver()(method_of("oba", "nav"), epochs)
+    unit = solver()(build("oba", "nav", {"estimate.normalise": True}), epochs)
+    physical = solver()(method_of("optimal_request", "nav"), epochs)
+    constant = solver()(build("optimal_request", "nav", {"estimate.noise": "constant"}), epochs)
+    np.testing.assert_allclose(constant.q_nb[10:], unit.q_nb[10:], atol=1e-9)
+    np.testing.assert_allclose(physical.q_nb[10:], oba.q_nb[10:], atol=1e-7)
+    forgetting = build("optimal_request", "nav", {"estimate.process": 1e-3})
+    noisy = epochs_of("nav")
+    assert not np.allclose(
+        solver()(forgetting, noisy).q_nb[-1], solver()(method_of("optimal_request", "nav"), noisy).q_nb[-1], atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("aid", ["nav", "body"])
+def test_printed_vo_tvk_is_singular_and_says_so(aid):
+    found = solver()(build("vo_tvk", aid, {"estimate.kappa": 0.0}), epochs_of(aid))
+    singular = (np.asarray(found.status) & Status.SINGULAR) != 0
+    assert not singular[:2].any()
+    assert singular[5:].all()
+    for leaf in jax.tree.leaves(found):
+        assert np.isfinite(np.asarray(leaf, float)).all()
+    regular = solver()(method_of("vo_tvk", aid), epochs_of(aid))
+    assert not (np.asarray(regular.status) & Status.SINGULAR).any()
+
+    def end(kappa):
+        method = with_parameters(method_of("vo_tvk", aid), {"estimate.kappa": kappa})
+        return method.solve(epochs_of(aid), 1).q_nb[-1, 3]
+
+    assert np.isfinite(jax.jit(jax.grad(end))(0.0))
+
+
+def test_solve_covariance():
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(5, 5))
+    s, b = a @ a.T + 0.1 * np.eye(5), rng.normal(size=(5, 2))
+    solution, regular = solve_covariance(jnp.asarray(s), jnp.asarray(b))
+    assert regular
+    np.testing.assert_allclose(solution, np.linalg.solve(s, b), rtol=1e-10)
+    badly_scaled = s * np.outer(10.0 ** np.arange(5), 10.0 ** np.arange(5))
+    assert solve_covariance(jnp.asarray(badly_scaled), jnp.asarray(b))[1]
+    for bad in (np.outer(a[0], a[0]), np.full((5, 5), np.nan), -s, np.zeros((5, 5))):
+        solution, regular = solve_covariance(jnp.asarray(bad), jnp.asarray(b))
+        assert not regular
+        assert np.isfinite(solution).all()
+        slope = jax.grad(lambda m: solve_covariance(m, jnp.asarray(b))[0].sum())(jnp.asarray(bad))
+        assert np.isfinite(slope).all()
+
+
+def test_quaternion_filter_averages():
+    """Ten epochs to a measurement: between them the attitude in inertial space does not move."""
+    epochs = epochs_of("static")
+    interval = float(epochs.rows.dt[1])
+    each, every_third = (build("quaternion_kf", "static", {"estimate.averaging": a * interval}) for a in (0.0, 3.0))
+
+    def inertial(method):
+        state, out = method.init(epochs.site, epochs.interval, epochs.aid_sd), []
+        step = jax.jit(lambda s, e: method.step(s, e))
+        for k in range(13):
+            state, _ = step(state, jax.tree.map(lambda x, k=k: x[k], epochs.rows))
+            out.append(np.asarray(state.readout.attitude.array))
+        return np.array(out)
+
+    moved = np.abs(np.diff(inertial(every_third), axis=0)).max(axis=1) > 0
+    np.testing.assert_array_equal(np.flatnonzero(moved) + 1, [6, 9, 12])  # the first two make the start
+    assert (np.abs(np.diff(inertial(each), axis=0)).max(axis=1) > 0)[2:].all()
+
+
+def test_quaternion_filter_starts_where_it_is_told():
+    epochs = epochs_of("static", noise=False)
+    truth = solver()(method_of("gravity_q", "static"), epochs).q_nb[-1]
+    free = solver()(method_of("quaternion_kf", "static"), epochs)
+    assert not free.defined[1]
+    told = solver()(build("quaternion_kf", "static", {"estimate.start": [0.9, 0.1, 0.1, 0.3]}), epochs)
+    assert told.defined[1]
+    np.testing.assert_allclose(free.q_nb[-1], truth, atol=1e-6)
+    assert np.abs(told.q_nb[-1] - truth).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (lambda: Aligner(BodyVelocity(), Rls(), estimate=QMethod()), "instantaneous"),
+        (lambda: Aligner(Static(), Rls(), estimate=QMethod()), "instantaneous"),
+        (lambda: Aligner(NavVelocity(), ApparentVelocityFilter(), estimate=QMethod()), "navigation-frame"),
+        (lambda: Aligner(BodyVelocity(window=60.0), ApparentVelocityFilter(), estimate=QMethod()), "window"),
+        (
+            lambda: Aligner(Static(vectors="instantaneous"), ApparentVelocityFilter(), estimate=QMethod()),
+            "integrated since the start",
+        ),
+        (lambda: build("rkf_oba", "nav"), "only body, static"),
+        (lambda: build("rkf_oba", "body", {"observe.window": 60}), "window"),
+        (lambda: build("rls_q", "static", {"observe.vectors": "integrated"}), "instantaneous"),
+        (lambda: OptimalRequest(noise="big"), "estimate.noise"),
+        (lambda: KMatrixFilter(noise="big"), "estimate.noise"),
+        (lambda: QuaternionFilter(noise="half"), "estimate.noise"),
+        (lambda: QuaternionFilter(averaging=-1.0), "estimate.averaging"),
+        (lambda: QuaternionFilter(start=(1.0, 0.0)), "estimate.start"),
+        (lambda: build("request", "nav", {"estimate.rho": 2.0}), "bounds"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(make, word):
+    with pytest.raises(UserError, match=word):
+        make()
+
+
+def test_reconstructed_pairs_carry_no_moment():
+    """The estimator must not correct a fitted vector for its Coriolis term a second time."""
+    method = method_of("rkf_oba", "body")
+    assert method.observe.coupled
+    state = method.init(epochs_of("body").site, 5.0)
+    assert state.pair.moment is None
+    plain = dataclasses.replace(method, reconstruct=Measured())
+    assert plain.init(epochs_of("body").site, 5.0).pair.moment is not None
+
+
+def test_status_of_a_singular_filter_reaches_align():
+    found = align(build("vo_tvk", "nav", {"estimate.kappa": 0.0}), epochs_of("nav"), every=10)
+    assert Status(int(found.status[-1])) & Status.SINGULAR
