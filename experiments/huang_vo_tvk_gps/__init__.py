@@ -1,0 +1,1 @@
+"""Huang et al.: GPS-aided alignment by filters of the K matrix."""
