@@ -34,7 +34,7 @@ def sizes(axis: Any, time: np.ndarray, errors: dict[str, np.ndarray]) -> None:
     for i, (label, values) in enumerate(errors.items()):
         known = np.isfinite(values).all(axis=0)
         middle, high = np.percentile(np.abs(values[:, known]), [50, 95], axis=0)
-        style = {"color": f"C{i}", "linewidth": 3.2 - 0.7 * i}
+        style = {"color": f"C{i}", "linewidth": max(3.2 - 0.7 * i, 1.0)}
         axis.semilogy(time[known], middle, label=label, **style)
         axis.semilogy(time[known], high, linestyle="--", alpha=0.6, **style)
 

@@ -164,7 +164,7 @@ def histogram(yaw: dict[str, np.ndarray]) -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Study and write."""
-    return run("experiments.huang_vo_tvk_gps", __doc__ or "", Path(__file__).parent, study, arguments)
+    return run("experiments.huang_vo_tvk_gps", __doc__ or "", Path(__file__).parent, study, arguments, runs=200)
 
 
 if __name__ == "__main__":

@@ -168,7 +168,7 @@ def study(runs: int, seed: int) -> Page:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Study and write."""
-    return run("experiments.shen2025_moba_dvl", __doc__ or "", Path(__file__).parent, study, arguments)
+    return run("experiments.shen2025_moba_dvl", __doc__ or "", Path(__file__).parent, study, arguments, runs=400)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from jaxalign.simulate import Scenario, scenario, truth  # noqa: E402
 
 SAMPLES = 2  # per epoch: 50 Hz
 EVERY_S = 1.0
-START_DEG = (10.0, 10.0, 30.0)  # error of the filters' first attitude: east, north, up
+START_DEG = (10.0, 10.0, 30.0)  # the filters' first attitude is turned by this about east, north, up
 WINDOWS = tuple((100.0 * i, 100.0 * (i + 1)) for i in range(6))
 RAW = {"estimate.averaging": 0.0}
 FIXED = {"estimate.noise": "fixed", "estimate.variance": 1e-7}
@@ -66,18 +66,18 @@ INTRODUCTION = """\
 Scenario `sway`: Tables 1 and 2 of the paper: 10, 12, 6 deg about zero, gyroscopes 0.05 deg/h, accelerometers 500 ug,
 the "random" errors taken as standard deviations of a sample at 100 Hz (as densities the Cramer-Rao bound alone would be
 0.6 deg of yaw at the end). The biases are equal and positive on all axes, as printed. One vector per two samples. The
-Kalman filters of Schemes 3 and 4 start {start} deg (east, north, up) off the truth with P0 = I, each vector a
-measurement; `quaternion_kf` as it is here averages over 1 s and starts from its own first two vectors. "full",
-"cumulative" and "fixed" are three readings of the paper's (28).
+Kalman filters of Schemes 3 and 4 start from the truth turned by {start} deg (about east, north, up), P0 = I, each
+vector a measurement; `quaternion_kf` as it is here averages over 1 s and starts from its own first two vectors.
+"full", "cumulative" and "fixed" are three readings of the paper's (28).
 
-Numbers: errors (deg, estimate minus truth). "mean": of a window over all runs, ± one standard deviation of the runs' own
-means (not of the average); "std": the standard deviation inside a window, averaged over the runs, as the paper gives it
-for its one run."""
+Numbers: errors (deg, estimate minus truth). "mean": of a window over all runs, ± one standard deviation of the runs'
+own means (not of the average); "std": the standard deviation inside a window, averaged over the runs, as the paper
+gives it for its one run."""
 
 
 def methods(made: Scenario) -> dict[str, Any]:
     """Label -> method; the filters of the paper start off the truth by a fixed error."""
-    wrong = quat_from_rotvec(-np.deg2rad(START_DEG))
+    wrong = quat_from_rotvec(np.deg2rad(START_DEG))
     start = np.asarray(quat_multiply(wrong, quat_from_dcm(truth(made).C_nb[0])))
     out = {}
     for label, (name, parameters) in METHODS.items():
@@ -183,7 +183,7 @@ def study(runs: int, seed: int) -> Page:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Study and write."""
-    return run("experiments.xu2017_quaternion_kf", __doc__ or "", Path(__file__).parent, study, arguments)
+    return run("experiments.xu2017_quaternion_kf", __doc__ or "", Path(__file__).parent, study, arguments, runs=100)
 
 
 if __name__ == "__main__":

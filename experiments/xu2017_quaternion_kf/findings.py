@@ -59,8 +59,8 @@ def findings(yaw: Yaw, roll: Yaw, broken: dict[str, Yaw]) -> str:
   known; with the lengths kept `velocity_q` spreads by {spread(plain):.3f} deg.
 - The Kalman filters' better yaw (paper: 0.07 and 0.13 deg) is no gain. With the full 4x4 residual covariance they end
   at {both[0]} and {both[1]} deg here, below what the biases allow, because that reading makes yaw depend on the north
-  gyro: with another heading or unequal biases (last table) its mean is up to {_worst(broken, full):.2f} deg (Scheme 3) and
-  {_worst(broken, "Scheme 4, full R"):.2f} deg (Scheme 4) off the limit, Scheme 1 at most
+  gyro: with another heading or unequal biases (last table) its mean is up to {_worst(broken, full):.2f} deg (Scheme 3)
+  and {_worst(broken, "Scheme 4, full R"):.2f} deg (Scheme 4) off the limit, Scheme 1 at most
   {_worst(broken, one):.3f} deg. Equal biases and a mean yaw of zero hide it.
 - With a scalar R the filters are sound and gain nothing over Scheme 1: {mean(yaw[cumulative])} deg (Scheme 3,
   cumulative; its first attitude still shows), {mean(yaw["Scheme 4, cumulative R"])} deg (Scheme 4). Averaged over 1 s

@@ -150,7 +150,7 @@ def study(runs: int, seed: int) -> Page:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Study and write."""
-    return run("experiments.xu2020_rkf_dvl", __doc__ or "", Path(__file__).parent, study, arguments)
+    return run("experiments.xu2020_rkf_dvl", __doc__ or "", Path(__file__).parent, study, arguments, runs=400)
 
 
 if __name__ == "__main__":

@@ -38,8 +38,9 @@ class QuaternionFilter(AbstractEstimate):
     """Four states, each pair of unit vectors a pseudo-measurement: ``0 = (L(alpha) - R(beta)) q``, q = q_n0b0.
 
     The noise of the vectors stands in H, where it counts as information and shrinks the covariance before the heading
-    has shown itself: taken vector by vector at 50 Hz the filter is slow, on a real log it never converges. Averaging
-    the vectors over about a second first cures most of it; the q-method needs no cure. A pair's weight divides R.
+    has shown itself: taken vector by vector at 50 Hz the filter is slow, on a real log (start 30 deg off) useless.
+    Averaging the vectors over about a second first cures most of it; the q-method needs no cure. A pair's weight
+    divides R.
 
     Attributes:
         averaging: pairs are averaged over this time before they are a measurement, s; 0: each pair is one.
