@@ -88,7 +88,7 @@ def test_weights_of_the_robust_kalman_filter(shared):
 
     start = method.init(data.site, data.interval, 0.1)
     _, found = jax.jit(lambda state, rows: jax.lax.scan(step, state, rows))(start, data.rows)
-    smallest = np.min([found.x, found.y, found.z], axis=0)
+    smallest = np.min(found, axis=1)
     np.testing.assert_allclose(smallest[2:], arrays["w_RKFW"][2:], atol=2e-3)
 
 

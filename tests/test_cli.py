@@ -354,3 +354,32 @@ def test_module_runs_as_a_program(files):
     )
     assert run.returncode == 0
     assert "200 Hz" in run.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "aid"), [(name, aid) for name, recipe in ja.methods.RECIPES.items() for aid in recipe.aids]
+)
+def test_every_recipe_aligns_a_file(tmp_path, capsys, name, aid):
+    scenario = {"body": "dvl-sturn", "nav": "gps-zigzag", "static": "sway"}[aid]
+    log = tmp_path / "log.npz"
+    assert main(["simulate", scenario, "--set", "duration=60", "--output", str(log)]) == 0
+    out = tmp_path / "out.npz"
+    assert main(["align", str(log), "--method", name, "--every", "10", "--output", str(out)]) == 0
+    assert "at 60.0 s: pitch" in capsys.readouterr().out
+    with np.load(out) as found:
+        recipe = json.loads(str(found["recipe"]))
+        assert np.isfinite(found["C_nb"][-1]).all()
+    assert recipe["method"] == name
+    ja.methods.build(recipe["method"], recipe["aid"], recipe["parameters"])  # the recipe builds the method again
+
+
+def test_a_parameter_by_its_path(tmp_path, capsys):
+    log, out = tmp_path / "log.npz", tmp_path / "out.npz"
+    assert main(["simulate", "dvl-sturn", "--set", "duration=60", "--output", str(log)]) == 0
+    assert main(["align", str(log), "--method", "moba", "--set", "weight.gamma=4", "--output", str(out)]) == 0
+    with np.load(out) as found:
+        assert json.loads(str(found["recipe"]))["parameters"]["weight.gamma"] == 4.0
+    arguments = ["--method", "vo_tvk", "--set", "estimate.kappa=0"]
+    assert main(["align", str(log), *arguments, "--every", "10"]) == 0
+    assert "THE FILTER IS SINGULAR" in capsys.readouterr().out

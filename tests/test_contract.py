@@ -20,11 +20,16 @@ LOOKS_AT_RESIDUALS = ("roba", "rkf_oba")
 FORGETS = ("request",)
 BOUND_TO_THE_AXES = ("rkf_oba", "vo_tvk")
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
-# Where compiling costs most, a recipe's further aids are slow tests.
-first_aids = pytest.mark.parametrize(
-    ("name", "aid"), [pytest.param(n, a, marks=() if a == RECIPES[n].aids[0] else pytest.mark.slow) for n, a in ROWS]
-)
-slots = pytest.mark.parametrize(("name", "aid"), [r for r in ROWS if isinstance(method_of(*r), Aligner)])
+
+
+def _further_aids_slow(rows):
+    """Where compiling costs most, a recipe's further aids are slow tests."""
+    marked = [pytest.param(n, a, marks=() if a == RECIPES[n].aids[0] else pytest.mark.slow) for n, a in rows]
+    return pytest.mark.parametrize(("name", "aid"), marked)
+
+
+first_aids = _further_aids_slow(ROWS)
+first_slots = _further_aids_slow([row for row in ROWS if isinstance(method_of(*row), Aligner)])
 
 
 def truth_dcm(aid):
@@ -64,7 +69,7 @@ def test_outputs_are_finite_units_and_flagged(name, aid):
     assert ((np.asarray(found.weight) >= 0) & (np.asarray(found.weight) <= 1)).all()
 
 
-@slots
+@first_slots
 def test_online_equals_offline(name, aid):
     method, epochs = method_of(name, aid), epochs_of(aid)
     whole = solver()(method, epochs)
@@ -79,18 +84,21 @@ def test_online_equals_offline(name, aid):
 
 
 @first_aids
-def test_vmap_over_logs_equals_loop(name, aid):
+def test_vmap_over_logs_and_tunables_equals_loop(name, aid):
+    """Three logs, each with other values of every tunable."""
     method, batch = method_of(name, aid), [epochs_of(aid, seed) for seed in (1, 2, 3)]
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *batch)
-    together = jax.jit(jax.vmap(lambda epochs: method.solve(epochs, 1)))(stacked)
+    numbers, rest = eqx.partition(method, eqx.is_array)
+    variants = [jax.tree.map(lambda x, f=f: x * f, numbers) for f in (1.0, 0.7, 1.2)]
+    stacked, tuned = (jax.tree.map(lambda *x: jnp.stack(x), *some) for some in (batch, variants))
+    together = jax.jit(jax.vmap(lambda n, epochs: eqx.combine(n, rest).solve(epochs, 1)))(tuned, stacked)
     for i, one in enumerate(batch):
-        alone = solver()(method, one)
+        alone = solver()(eqx.combine(variants[i], rest), one)
         late = np.asarray(alone.time) > 20  # before, rounding over the eigengap
         assert angle(alone.q_nb, together.q_nb[i])[late].max() < 1e-8
         np.testing.assert_array_equal(alone.status, together.status[i])
 
 
-@rows
+@first_aids
 @pytest.mark.parametrize("every", [7, pytest.param(10, marks=pytest.mark.slow), 10**6])
 def test_sparse_readout(name, aid, every):
     """Rows at 0, every, 2 every, ... and the last epoch; the same attitudes, but for the feedback's age."""

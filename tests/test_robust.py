@@ -108,7 +108,7 @@ def test_centred_oba_survives_a_bad_first_velocity():
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=() if name in ROBUST else pytest.mark.slow)
+        pytest.param(name, marks=() if name == "roba" else pytest.mark.slow)
         for name, recipe in RECIPES.items()
         if recipe.aids != ("static",)
     ],

@@ -129,7 +129,7 @@ def test_optimal_request_is_the_q_method():
     )
 
 
-@pytest.mark.parametrize("aid", ["nav", "body"])
+@pytest.mark.parametrize("aid", ["nav", pytest.param("body", marks=pytest.mark.slow)])
 def test_printed_vo_tvk_is_singular_and_says_so(aid):
     found = solver()(build("vo_tvk", aid, {"estimate.kappa": 0.0}), epochs_of(aid))
     singular = (np.asarray(found.status) & Status.SINGULAR) != 0

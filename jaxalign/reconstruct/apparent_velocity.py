@@ -28,16 +28,12 @@ _SHAPE = _PUBLISHED.T @ _PUBLISHED
 _UPPER = [(i, j) for i in range(4) for j in range(i, 4)]
 
 
-class _Axis(eqx.Module):
-    """Coefficients of one axis and the upper triangle of their covariance, row by row."""
-
-    xi: tuple[Float[Array, ""], ...]
-    p: tuple[Float[Array, ""], ...]
-
-
 class _State(eqx.Module):
-    axes: tuple[_Axis, ...]
-    weight: Vec3  # of the last measurement, per axis
+    """Coefficients and the upper triangle of their covariance, row by row; all of shape (3,): one per axis of b0."""
+
+    xi: tuple[Float[Array, " 3"], ...]
+    p: tuple[Float[Array, " 3"], ...]
+    weight: Float[Array, " 3"]  # of the last measurement
 
 
 class ApparentVelocityFilter(AbstractReconstruct):
@@ -83,31 +79,24 @@ class ApparentVelocityFilter(AbstractReconstruct):
 
     def init(self) -> Any:
         """No coefficients, the prior's covariance."""
-        zero, one = jnp.zeros((), jnp.float64), jnp.ones((), jnp.float64)
-        axis = _Axis((zero,) * 4, tuple(self.prior * _SHAPE[ij] for ij in _UPPER))
-        return _State((axis,) * 3, Vec3(one, one, one))
+        p = tuple(jnp.full(3, self.prior * _SHAPE[ij]) for ij in _UPPER)
+        return _State((jnp.zeros(3),) * 4, p, jnp.ones(3))
 
     def step(self, state: Any, context: Context, pair: Pair) -> tuple[Any, Pair]:
         """Consume one pair."""
         b = _basis(context.time)
-        steps = [
-            self._axis(axis, b, beta, context.sd)
-            for axis, beta in zip(state.axes, (pair.beta.x, pair.beta.y, pair.beta.z), strict=True)
-        ]
         # The first epoch's vector is zero by definition, not by measurement.
         used = pair.valid & (pair.clean.norm2() > 0)
-        new = _State(tuple(axis for axis, _ in steps), Vec3(*(weight for _, weight in steps)))
-        state = where(used, new, state)
+        state = where(used, self._measured(state, b, pair.beta.array, context.sd), state)
         first = 1 if self.drop_constant else 0
-        fitted = Vec3(*(_dot(axis.xi[first:], b[first:]) for axis in state.axes))
-        beta = where(used, fitted, pair.beta)
+        beta = where(used, Vec3.of(_dot(state.xi[first:], b[first:])), pair.beta)
         return state, dataclasses.replace(pair, beta=beta, open_beta=beta, moment=None)
 
-    def _axis(self, axis: _Axis, b: list[Any], beta: Any, sd: Any) -> tuple[_Axis, Any]:
-        """One axis, one measurement; its weight."""
-        p = {ij: x + self.process * _SHAPE[ij] for ij, x in zip(_UPPER, axis.p, strict=True)}
+    def _measured(self, state: _State, b: list[Any], beta: Any, sd: Any) -> _State:
+        """One measurement of the three axes, side by side."""
+        p = {ij: x + self.process * _SHAPE[ij] for ij, x in zip(_UPPER, state.p, strict=True)}
         projected = [_dot([p[min(i, j), max(i, j)] for j in range(4)], b) for i in range(4)]
-        innovation = beta - _dot(axis.xi, b)
+        innovation = beta - _dot(state.xi, b)
         size = jnp.abs(innovation)
         beyond = size > self.gamma * sd
         weight = jnp.where(beyond, self.gamma * sd / jnp.where(beyond, size, 1.0), 1.0)
@@ -115,15 +104,15 @@ class ApparentVelocityFilter(AbstractReconstruct):
         r = variance if self.as_published else variance / weight
         gain = [x / (_dot(projected, b) + r) for x in projected]
         step = innovation * weight if self.as_published else innovation
-        xi = tuple(x + g * step for x, g in zip(axis.xi, gain, strict=True))
+        xi = tuple(x + g * step for x, g in zip(state.xi, gain, strict=True))
         if self.as_published:
             new = tuple(p[i, j] - gain[i] * projected[j] for i, j in _UPPER)
         else:
-            # Joseph: (I - G b^T) P (I - G b^T)^T + G R G^T, column by column.
+            # Joseph: (I - G b^T) P (I - G b^T)^T + G R G^T.
             left = [[p[min(i, j), max(i, j)] - gain[i] * projected[j] for j in range(4)] for i in range(4)]
             along = [_dot(row, b) for row in left]
             new = tuple(left[i][j] - along[i] * gain[j] + r * gain[i] * gain[j] for i, j in _UPPER)
-        return _Axis(xi, new), weight
+        return _State(xi, new, weight)
 
 
 def _dot(a: Any, b: Any) -> Any:
