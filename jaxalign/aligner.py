@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.aid_noise import white_noise_sd
@@ -318,5 +319,7 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
             stated = log.aid_sd is not None and log.aid == epochs.aid
             aid_sd = log.aid_sd if stated else estimate_aid_sd(epochs)
     if aid_sd is not None:
+        if not isinstance(aid_sd, Tracer) and not np.all(np.asarray(aid_sd) > 0):
+            raise UserError(f"aid_sd = {aid_sd}: the standard deviation of the aid's noise must be above 0 m/s")
         epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(aid_sd, jnp.float64))
     return method.solve(epochs, int(every))

@@ -16,7 +16,7 @@ rows = pytest.mark.parametrize(("name", "aid"), ROWS)
 moving = pytest.mark.parametrize(("name", "aid"), [row for row in ROWS if row[1] != "static"])
 # What is known of single recipes; their docstrings say why.
 CLOSURE_DEG = {"rkf_oba": 0.05, "request": 0.1, "vo_tvk": 0.2, "rls_q": 0.03, "rls_quaternion_kf": 0.03}
-LOOKS_AT_RESIDUALS = ("roba", "rkf_oba")
+LOOKS_AT_RESIDUALS = ("roba",)
 FORGETS = ("request",)
 BOUND_TO_THE_AXES = ("rkf_oba", "vo_tvk")
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
@@ -88,7 +88,7 @@ def test_vmap_over_logs_and_tunables_equals_loop(name, aid):
     """Three logs, each with other values of every tunable."""
     method, batch = method_of(name, aid), [epochs_of(aid, seed) for seed in (1, 2, 3)]
     numbers, rest = eqx.partition(method, eqx.is_array)
-    variants = [jax.tree.map(lambda x, f=f: x * f, numbers) for f in (1.0, 0.7, 1.2)]
+    variants = [jax.tree.map(lambda x, f=f: x * f, numbers) for f in (1.0, 0.999, 0.995)]
     stacked, tuned = (jax.tree.map(lambda *x: jnp.stack(x), *some) for some in (batch, variants))
     together = jax.jit(jax.vmap(lambda n, epochs: eqx.combine(n, rest).solve(epochs, 1)))(tuned, stacked)
     for i, one in enumerate(batch):
@@ -107,7 +107,7 @@ def test_sparse_readout(name, aid, every):
     index = np.unique([*range(0, EPOCHS + 1, min(every, EPOCHS)), EPOCHS])
     np.testing.assert_allclose(sparse.time, full.time[index])
     if aid == "body" or name in LOOKS_AT_RESIDUALS:  # the transport rate, or the residual, has an older attitude
-        most = 0.1 if aid == "body" and name not in FORGETS else 2.0
+        most = 0.1 if aid == "body" and name not in FORGETS else 0.5 if aid == "body" else 2.0
         assert np.rad2deg(angle(full.q_nb[-1], sparse.q_nb[-1])) < most
     else:
         late = np.asarray(sparse.time) > 20
@@ -207,8 +207,8 @@ def test_turning_the_body_frame_turns_the_answer(name, aid, vector):
     differences = angle(back, there.q_nb)
     if name not in BOUND_TO_THE_AXES:
         assert differences[late].max() < 1e-8
-    elif name == "rkf_oba":
-        assert differences[-1] < 1e-3
+    else:
+        assert differences[-1] < (1e-3 if name == "rkf_oba" else 0.5)
 
 
 @rows

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from numeric import assert_derivatives
 from problems import epochs_of, method_of, solver
 
 from jaxalign import (
+    AbstractWeight,
     Aligner,
     ApparentVelocityFilter,
     BodyVelocity,
@@ -33,6 +35,8 @@ from jaxalign import (
 from jaxalign.earth import EARTH_RATE
 from jaxalign.estimate.linear import solve_covariance
 from jaxalign.methods import build
+from jaxalign.metrics import attitude_error_deg
+from jaxalign.simulate import simulate
 
 PUBLISHED_PRIOR = 1e10
 
@@ -213,12 +217,60 @@ def test_quaternion_filter_starts_where_it_is_told():
         (lambda: QuaternionFilter(noise="half"), "estimate.noise"),
         (lambda: QuaternionFilter(averaging=-1.0), "estimate.averaging"),
         (lambda: QuaternionFilter(start=(1.0, 0.0)), "estimate.start"),
+        (lambda: build("quaternion_kf", "static", {"estimate.start": "[1e999, 0, 0, 0]"}), "estimate.start"),
+        (lambda: Aligner(Static(), estimate=OptimalRequest()), "constant"),
+        (lambda: Aligner(Static(), estimate=KMatrixFilter()), "constant"),
+        (lambda: align(build("rkf_oba", "body"), epochs_of("body"), aid_sd=0.0), "above 0"),
         (lambda: build("request", "nav", {"estimate.rho": 2.0}), "bounds"),
     ],
 )
 def test_what_makes_no_sense_is_refused(make, word):
     with pytest.raises(UserError, match=word):
         make()
+
+
+def test_dropped_constant_is_that_of_the_first_velocity():
+    """However late it comes."""
+    log = simulate("dvl-sturn", 1, noise=False)
+    log = dataclasses.replace(log, velocity=np.where(np.arange(301)[:, None] < 60, np.nan, log.velocity))
+    parameters = {"reconstruct.drop_constant": True, "reconstruct.process": 1e-8}
+    solution = align(build("rkf_oba", "body", parameters), log, every=10, aid_sd=0.1)
+    assert np.abs(attitude_error_deg(solution, log)[-1]).max() < 0.02
+
+
+def test_forgetting_does_not_wind_up():
+    """Far beyond its memory the covariance stays within the prior."""
+    rng = np.random.default_rng(4)
+    times = np.arange(1, 60001) * 0.01
+    beta = np.array([0.1, 0.2, 9.8]) + rng.normal(size=(60000, 3)) * 0.01
+    for forgetting in (0.9, 0.99, 0.9999):
+        found = run(Rls(forgetting=forgetting), times, beta)
+        assert np.isfinite(found).all()
+        assert np.abs(np.asarray(found[1000:]) - [0.1, 0.2, 9.8]).max() < 0.1
+
+
+def test_a_weight_counts_wherever_it_falls_in_an_average():
+    epochs = epochs_of("static")
+    averaging = 3.0 * float(epochs.rows.dt[1])
+
+    class Tiny(AbstractWeight):
+        weight: float = eqx.field(static=True)
+
+        def init(self):
+            return None
+
+        def step(self, state, context, pair):
+            return state, jnp.where(context.index % 3 == 1, self.weight, 1.0)
+
+    spoilt = eqx.tree_at(lambda e: e.rows.dvel.x, epochs, epochs.rows.dvel.x.at[1::3].add(1.0))
+    ends = [
+        Aligner(Static(vectors="instantaneous"), weight=Tiny(w), estimate=QuaternionFilter(averaging=averaging))
+        .solve(spoilt, 10**6)
+        .euler_deg[-1, :2]
+        for w in (0.0, 1e-6, 1.0)
+    ]
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)
+    assert np.abs(ends[2] - ends[0]).max() > 0.1
 
 
 def test_reconstructed_pairs_carry_no_moment():

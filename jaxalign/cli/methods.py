@@ -27,15 +27,16 @@ def _run(options: argparse.Namespace) -> int:
 
     if options.name:
         build(options.name)  # one message for an unknown name
+    width = max(map(len, RECIPES)) + 2
     for recipe in RECIPES.values():
         if options.name not in (None, recipe.name):
             continue
-        print(f"{recipe.name:14s}{recipe.summary}")
-        print(f"{'':14s}aids: {', '.join(recipe.aids)}; source: {recipe.source}")
+        print(f"{recipe.name:{width}s}{recipe.summary}")
+        print(f"{'':{width}s}aids: {', '.join(recipe.aids)}; source: {recipe.source}")
         for aid in recipe.aids:
             method = build(recipe.name, aid)
             values = ", ".join(f"{path}={value}".lower() for path, value in parameters(method).items())
-            print(f"{'':14s}{aid}: {values}")
+            print(f"{'':{width}s}{aid}: {values}")
             if options.name:
                 slots = (getattr(method, slot, None) for slot in ("observe", "reconstruct", "weight", "estimate"))
                 for part in (method, *slots):

@@ -80,7 +80,9 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
     out = []
     time, seen = np.asarray(solution.time) + log.t0, np.asarray(solution.observable)
     noise = "noise of the force" if method.aid == "static" else "noise of the aid"
-    if seen[-1]:
+    if not solution.defined[-1]:
+        out.append("NO ATTITUDE to the end: the method never saw two directions (log too short for its averaging?)")
+    elif seen[-1]:
         first = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else 0
         steps = np.diff(np.asarray(solution.time))
         sparse = " (rows are that far apart)" if steps.size and steps.max() > 1.5 * interval else ""

@@ -6,12 +6,23 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 
-from jaxalign.observe import Context, Pair
+from jaxalign.errors import UserError
+from jaxalign.observe import AbstractObserve, Context, Pair
 
-__all__ = ["NOISES", "Noise", "direction_information"]
+__all__ = ["NOISES", "Noise", "check_noise", "direction_information"]
 
 Noise = Literal["physical", "constant"]
 NOISES = ("physical", "constant")
+
+
+def check_noise(noise: str, observe: AbstractObserve) -> None:
+    """Refuse the physical noise of velocities for the vectors of a standing vehicle.
+
+    Raises:
+        UserError: says what to choose.
+    """
+    if noise == "physical" and observe.steps:
+        raise UserError("estimate.noise = 'physical' is that of a velocity aid: for a standing vehicle take 'constant'")
 
 
 def direction_information(noise: Noise, variance: Any, context: Context, pair: Pair) -> Any:

@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.errors import UserError
@@ -30,7 +32,9 @@ class _State(eqx.Module):
     started: Bool[Array, ""]
     singular: Bool[Array, ""]
     first: tuple[Vec3, Vec3]  # the first vectors: a start needs two
-    sums: tuple[Vec3, Vec3]
+    sums: tuple[Vec3, Vec3]  # weighted
+    weight: Float[Array, ""]  # sum of the weights
+    pairs: Float[Array, ""]  # number of pairs, of this measurement
     elapsed: Float[Array, ""]  # s, since the last measurement
 
 
@@ -39,8 +43,8 @@ class QuaternionFilter(AbstractEstimate):
 
     The noise of the vectors stands in H, where it counts as information and shrinks the covariance before the heading
     has shown itself: taken vector by vector at 50 Hz the filter is slow, on a real log (start 30 deg off) useless.
-    Averaging the vectors over about a second first cures most of it; the q-method needs no cure. A pair's weight
-    divides R.
+    Averaging the vectors over about a second first cures most of it; the q-method needs no cure. A pair's weight counts
+    in the average, the mean weight divides R.
 
     Attributes:
         averaging: pairs are averaged over this time before they are a measurement, s; 0: each pair is one.
@@ -50,7 +54,9 @@ class QuaternionFilter(AbstractEstimate):
             equal biases, do not use it.
         variance: R at the start, or always. "fixed" wants half the variance of a vector's direction.
         prior: variance of the elements of q at the start.
-        start: q_n0b0 at the start, (4,); null (default): TRIAD on the first two measurements.
+        start: q_n0b0 at the start, (4,); all zeros (default): TRIAD on the first two measurements. A jolt within those
+            (10 mg for a second) costs a degree of heading for minutes, a start 30 deg off as much: the filter forgets
+            its start slowly.
 
     Source: Xu 2017 (20)-(28), Schemes 3 and 4; which of three readings (28) means is not certain. Deviations:
     averaging, start, Joseph form; subtracting H P H^T from the residuals (Sage-Husa) is unstable and not offered.
@@ -68,6 +74,8 @@ class QuaternionFilter(AbstractEstimate):
             raise UserError(f"estimate.averaging = {self.averaging}: must be a number of seconds, 0 for no averaging")
         if self.start.shape != (4,):
             raise UserError(f"estimate.start: must be a quaternion (w, x, y, z), got shape {self.start.shape}")
+        if not isinstance(self.start, Tracer) and not np.isfinite(self.start).all():
+            raise UserError(f"estimate.start = {np.asarray(self.start)}: must be finite, all zeros for none")
 
     def init(self, coupled: bool) -> Any:
         """Before the first measurement."""
@@ -76,20 +84,22 @@ class QuaternionFilter(AbstractEstimate):
         given = jnp.sum(self.start**2) > 0
         q = Quat.of(self.start).unit().array
         noise = self.variance * (eye if self.noise == "full" else 1.0)
-        return _State(q, self.prior * eye, noise, zero, given, no, (v, v), (v, v), zero)
+        return _State(q, self.prior * eye, noise, zero, given, no, (v, v), (v, v), zero, zero, zero)
 
     def update(self, state: Any, context: Context, pair: Pair, weight: Any) -> Any:
         """Average, and measure when the time has come."""
         s = state
         used = (weight > 0) & (pair.alpha.norm2() > 0)
-        here = where(used, (pair.alpha, pair.beta), (Vec3.zero(), Vec3.zero()))
-        alpha, beta = s.sums[0] + here[0], s.sums[1] + here[1]
+        weight = jnp.where(used, weight, 0.0)
+        alpha, beta = s.sums[0] + pair.alpha * weight, s.sums[1] + pair.beta * weight
+        total, pairs = s.weight + weight, s.pairs + used
         elapsed = s.elapsed + context.dt
         due = used & (elapsed >= self.averaging * (1 - 1e-6))
         started = s.started
         if_two, defined = triad(alpha, beta, *s.first)
         starts = due & ~started & defined & (s.count > 0)
-        measured = self._measure(s, alpha.unit(), beta.unit(), jnp.where(used, weight, 1.0))
+        mean_weight = jnp.where(due, total, 1.0) / jnp.where(due, pairs, 1.0)
+        measured = self._measure(s, alpha.unit(), beta.unit(), mean_weight)
         new = where(due & started, measured, s)
         return _State(
             q=jnp.where(starts, if_two.array, new.q),
@@ -100,6 +110,8 @@ class QuaternionFilter(AbstractEstimate):
             singular=new.singular,
             first=where(due & (s.count == 0), (alpha, beta), s.first),
             sums=where(due, (Vec3.zero(), Vec3.zero()), (alpha, beta)),
+            weight=jnp.where(due, 0.0, total),
+            pairs=jnp.where(due, 0.0, pairs),
             elapsed=jnp.where(due, 0.0, elapsed),
         )
 
@@ -109,10 +121,10 @@ class QuaternionFilter(AbstractEstimate):
         e = h @ s.q
         share = 1.0 / (s.count + 2.0)
         if self.noise == "full":
-            noise = (1.0 - share) * s.noise + share * jnp.outer(e, e)
+            noise = (1.0 - share) * s.noise + share * weight * jnp.outer(e, e)
             r = noise + 1e-10 * eye
         elif self.noise == "cumulative":
-            noise = (1.0 - share) * s.noise + share * jnp.sum(e * e) / 4
+            noise = (1.0 - share) * s.noise + share * weight * jnp.sum(e * e) / 4
             r = (noise + 1e-12) * eye
         else:
             noise, r = s.noise, self.variance * eye

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.estimate.base import AbstractEstimate, Readout
-from jaxalign.estimate.direction_noise import NOISES, Noise, direction_information
+from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direction_information
 from jaxalign.estimate.profile import Profile, inverse_lengths
-from jaxalign.observe import Context, Pair
+from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.observe.options import check_choice
 from jaxalign.parameters import tunable
 from jaxalign.vector import where
@@ -68,7 +68,7 @@ class OptimalRequest(AbstractEstimate):
 
     Attributes:
         variance: of a direction per axis with ``noise="constant"``, rad^2 (tr R = 12 variance).
-        process: variance that K gains per epoch, in the units of R: above zero the filter forgets.
+        process: variance that K gains per vector, in the units of R: above zero the filter forgets.
         noise: "physical" (default) or "constant".
 
     Source: Choukroun 2004; Huang's baseline, which gives neither R nor P0: P0 = R of the first pair here.
@@ -81,6 +81,10 @@ class OptimalRequest(AbstractEstimate):
     def __check_init__(self):
         check_choice("estimate.noise", self.noise, NOISES)
 
+    def check(self, observe: AbstractObserve) -> None:
+        """The physical noise is that of two velocities."""
+        check_noise(self.noise, observe)
+
     def init(self, coupled: bool) -> Any:
         """Empty."""
         return _OptimalRequest(Profile.zero(coupled), jnp.zeros((), jnp.float64), jnp.zeros((), bool))
@@ -91,7 +95,7 @@ class OptimalRequest(AbstractEstimate):
         factor = 12.0 if self.noise == "constant" else 8.0
         information = weight * direction_information(self.noise, self.variance, context, pair) / factor
         some = information > 0
-        p = state.variance + jnp.where(state.started, self.process, 0.0)
+        p = state.variance + jnp.where(state.started & some, self.process, 0.0)
         following = p * information / (1.0 + p * information)
         gain = jnp.where(state.started, following, jnp.where(some, 1.0, 0.0))
         first = jnp.where(some, 1.0 / jnp.where(some, information, 1.0), 0.0)

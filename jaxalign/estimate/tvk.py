@@ -10,9 +10,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.estimate.base import AbstractEstimate, Readout
 from jaxalign.estimate.davenport import dominant_eigenvector
-from jaxalign.estimate.direction_noise import NOISES, Noise, direction_information
+from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direction_information
 from jaxalign.estimate.linear import solve_covariance
-from jaxalign.observe import Context, Pair
+from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.observe.options import check_choice
 from jaxalign.parameters import tunable
 from jaxalign.solution import Status
@@ -31,12 +31,12 @@ class _State(eqx.Module):
 class KMatrixFilter(AbstractEstimate):
     """The nine free elements of a traceless K, measured by dK of each pair, in a Kalman filter with a 9x9 gain.
 
-    ``R = s^2 (Lambda Lambda^T + kappa I)`` with s^2 the variance of the direction. As printed kappa is zero: R then has
-    rank 3, P + R is singular after the first update, and the filter stops: ``Status.SINGULAR`` from there on, the
-    attitude that of before. The model itself (K constant) is inconsistent: each dK depends on its direction, and only a
-    gain that is nearly a scalar keeps the true attitude an eigenvector. Without noise the heading errs by 8 deg at
-    kappa = 0.01, 0.06 deg at 1. Nor do the nine elements turn as a whole: another mounting of the same unit gives
-    another heading, by several degrees in Huang's scenario. A pair's weight divides its R.
+    ``R = s^2 (Lambda Lambda^T + kappa I)`` with s^2 the variance of the direction. As printed kappa is zero: R then
+    has rank 3, P + R is singular after the first update, and the filter stops: ``Status.SINGULAR`` from there on, and
+    no attitude (one direction does not make any). The model itself (K constant) is inconsistent: each dK depends on
+    its direction, and only a gain that is nearly a scalar keeps the true attitude an eigenvector. Without noise the
+    heading errs by 8 deg at kappa = 0.01, 0.06 deg at 1. Nor do the nine elements turn as a whole: another mounting of
+    the same unit gives another heading, by several degrees in Huang's scenario. A pair's weight divides its R.
 
     Attributes:
         kappa: the regularisation, ours.
@@ -54,6 +54,10 @@ class KMatrixFilter(AbstractEstimate):
 
     def __check_init__(self):
         check_choice("estimate.noise", self.noise, NOISES)
+
+    def check(self, observe: AbstractObserve) -> None:
+        """The physical noise is that of two velocities."""
+        check_noise(self.noise, observe)
 
     def init(self, coupled: bool) -> Any:
         """Nothing measured."""

@@ -34,6 +34,7 @@ class _State(eqx.Module):
     xi: tuple[Float[Array, " 3"], ...]
     p: tuple[Float[Array, " 3"], ...]
     weight: Float[Array, " 3"]  # of the last measurement
+    start: Float[Array, ""]  # s, of the first velocity: the vectors are integrated since then
 
 
 class ApparentVelocityFilter(AbstractReconstruct):
@@ -43,11 +44,13 @@ class ApparentVelocityFilter(AbstractReconstruct):
     inside gain and covariance. The basis is 1, t/T, (1 - cos wt)/c3, (wt - sin wt)/c4, which spans the same functions;
     the prior and the process noise are the published ones transformed with it (in the published basis float64 fails:
     its singular values are 1.7e6 apart). An outlier among the first vectors can still ruin a run: the first innovation
-    is as large as the vector itself. The axes are those of b0: the result depends a little on how the unit is mounted.
+    is as large as the vector itself. For a standing vehicle the standard deviation is that of a step, not of the
+    integrated force, so that gamma counts other units. The axes are those of b0: the result depends a little on how
+    the unit is mounted.
 
     Attributes:
         gamma: Huber's threshold, in standard deviations.
-        process: variance per epoch of each published coefficient (printed: 1e-3 squared).
+        process: variance that each published coefficient gains per vector (printed: 1e-3 squared).
         prior: variance of each published coefficient at the start.
         drop_constant: leave the constant out of the reconstructed vector, and with it the noise of the first velocity:
             0.3 instead of 0.9 deg on clean data with process = 1e-8, at the price of outliers in the first epochs.
@@ -80,13 +83,15 @@ class ApparentVelocityFilter(AbstractReconstruct):
     def init(self) -> Any:
         """No coefficients, the prior's covariance."""
         p = tuple(jnp.full(3, self.prior * _SHAPE[ij]) for ij in _UPPER)
-        return _State((jnp.zeros(3),) * 4, p, jnp.ones(3))
+        return _State((jnp.zeros(3),) * 4, p, jnp.ones(3), jnp.zeros((), jnp.float64))
 
     def step(self, state: Any, context: Context, pair: Pair) -> tuple[Any, Pair]:
         """Consume one pair."""
-        b = _basis(context.time)
-        # The first epoch's vector is zero by definition, not by measurement.
-        used = pair.valid & (pair.clean.norm2() > 0)
+        # The vector of the first velocity is zero by definition, not by measurement.
+        null = ~(pair.clean.norm2() > 0)
+        start = jnp.where(pair.valid & null, context.time, state.start)
+        state, used = dataclasses.replace(state, start=start), pair.valid & ~null
+        b = _basis(context.time - start)
         state = where(used, self._measured(state, b, pair.beta.array, context.sd), state)
         first = 1 if self.drop_constant else 0
         beta = where(used, Vec3.of(_dot(state.xi[first:], b[first:])), pair.beta)
@@ -96,7 +101,7 @@ class ApparentVelocityFilter(AbstractReconstruct):
         """One measurement of the three axes, side by side."""
         p = {ij: x + self.process * _SHAPE[ij] for ij, x in zip(_UPPER, state.p, strict=True)}
         projected = [_dot([p[min(i, j), max(i, j)] for j in range(4)], b) for i in range(4)]
-        innovation = beta - _dot(state.xi, b)
+        innovation, sd = beta - _dot(state.xi, b), jnp.maximum(sd, 1e-9)
         size = jnp.abs(innovation)
         beyond = size > self.gamma * sd
         weight = jnp.where(beyond, self.gamma * sd / jnp.where(beyond, size, 1.0), 1.0)
@@ -112,7 +117,7 @@ class ApparentVelocityFilter(AbstractReconstruct):
             left = [[p[min(i, j), max(i, j)] - gain[i] * projected[j] for j in range(4)] for i in range(4)]
             along = [_dot(row, b) for row in left]
             new = tuple(left[i][j] - along[i] * gain[j] + r * gain[i] * gain[j] for i, j in _UPPER)
-        return _State(xi, new, weight)
+        return _State(xi, new, weight, state.start)
 
 
 def _dot(a: Any, b: Any) -> Any:

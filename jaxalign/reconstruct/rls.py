@@ -34,7 +34,7 @@ class Rls(AbstractReconstruct):
     up to 1 deg). t is the middle of the vector's interval.
 
     Attributes:
-        forgetting: factor by which the past fades per epoch; 1 for none.
+        forgetting: factor by which the past fades per epoch; 1 for none. The covariance never exceeds the prior.
         prior: variance of the published coefficients over that of a vector's noise; usable 1e4 to 1e10.
 
     Source: Xu 2017 (30)-(35).
@@ -64,8 +64,14 @@ class Rls(AbstractReconstruct):
         p = state.covariance
         projected = Vec3(p.r0.dot(h), p.r1.dot(h), p.r2.dot(h))
         gain = projected * (1.0 / (self.forgetting + h.dot(projected)))
-        rest = (p - gain.outer(projected)) * (1.0 / self.forgetting)
-        return _State(a + gain.outer(beta - self.at(state, time)), _symmetric(rest))
+        left = p - gain.outer(projected)  # Joseph: (I - g h^T) P (I - g h^T)^T + forgetting g g^T
+        along = Vec3(left.r0.dot(h), left.r1.dot(h), left.r2.dot(h))
+        rest = left - along.outer(gain) + (gain * self.forgetting).outer(gain)
+        # What the memory no longer excites must not wind up beyond the prior: there, nothing is forgotten.
+        faded, most = rest * (1.0 / self.forgetting), self.init().covariance
+        bounded = (faded.r0.x <= most.r0.x) & (faded.r1.y <= most.r1.y) & (faded.r2.z <= most.r2.z)
+        new = where(bounded, faded, rest)
+        return _State(a + gain.outer(beta - self.at(state, time)), _symmetric(new))
 
     def at(self, state: Any, time: Any) -> Vec3:
         """The fitted vector at a time, s."""
