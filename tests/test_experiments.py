@@ -118,6 +118,7 @@ def test_the_size_of_a_chunk_does_not_matter():
     np.testing.assert_allclose(one.phi[:, 2:, :2], two.phi[:, 2:, :2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_monte_carlo_without_an_aid():
     pairs = build("velocity_q", "static", {"observe.interval_samples": 2})
     errors = monte_carlo(scenario("sway", duration=20.0), {"pairs": pairs}, 2, every={"pairs": 250})["pairs"]

@@ -46,6 +46,7 @@ def test_car_windows(shared):
         assert np.median(errors) == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.slow
 def test_command_on_every_log(shared, tmp_path, capsys):
     """`align` and `info` run on everything there is, with the default method."""
     logs = sorted(path for path in (shared / "data").rglob("*") if path.suffix in (".npz", ".imu"))

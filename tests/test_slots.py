@@ -151,6 +151,19 @@ def test_printed_vo_tvk_is_singular_and_says_so(aid):
     assert np.isfinite(jax.jit(jax.grad(end))(0.0))
 
 
+def test_vo_tvk_depends_on_the_mounting():
+    """As its docstring says; the q-method does not."""
+    log = simulate("gps-zigzag", 1)
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    turned = dataclasses.replace(log, dtheta=log.dtheta @ turn.T, dvel=log.dvel @ turn.T, C_nb=log.C_nb @ turn.T)
+    change = {}
+    for name in ("oba", "vo_tvk"):
+        here, there = (attitude_error_deg(align(build(name, "nav"), x, every=10), x)[-1, 2] for x in (log, turned))
+        change[name] = abs(here - there)
+    assert change["oba"] < 1e-8
+    assert change["vo_tvk"] > 1.0
+
+
 def test_solve_covariance():
     rng = np.random.default_rng(3)
     a = rng.normal(size=(5, 5))
