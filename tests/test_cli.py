@@ -382,4 +382,7 @@ def test_a_parameter_by_its_path(tmp_path, capsys):
         assert json.loads(str(found["recipe"]))["parameters"]["weight.gamma"] == 4.0
     arguments = ["--method", "vo_tvk", "--set", "estimate.kappa=0"]
     assert main(["align", str(log), *arguments, "--every", "10"]) == 0
-    assert "THE FILTER IS SINGULAR" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "THE FILTER IS SINGULAR" in said
+    assert "NO ATTITUDE" in said
+    assert "nan" not in said

@@ -143,6 +143,8 @@ def summary(log: Log, name: str, method: Any, solution: Solution, estimated: boo
         "",
         *_trust(log, method, solution, interval),
     ]
+    if not solution.defined[-1]:
+        return out
     if error is not None:
         e, n, u = error[-1]
         out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")
