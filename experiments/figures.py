@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.monte_carlo import Errors
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["finish", "panels", "sizes"]
+__all__ = ["attitude_sizes", "finish", "panels", "sizes"]
 
 
 def panels(rows: int, columns: int = 1, width: float = 9.0, height: float = 6.0, **share: Any) -> np.ndarray:
@@ -47,3 +50,24 @@ def finish(axes: np.ndarray, title: str, columns: int = 6) -> Figure:
     made.suptitle(title)
     made.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
     return made
+
+
+def attitude_sizes(
+    found: Mapping[str, Errors], level: tuple[float, float], yaw: tuple[float, float], title: str, columns: int
+) -> Figure:
+    """Sizes of the errors in pitch, roll and yaw over time.
+
+    Args:
+        found: label -> errors, all at the same times.
+        level: limits of pitch and roll, deg.
+        yaw: limits of yaw, deg.
+        title: of the figure.
+        columns: of the legend.
+    """
+    axes, time = panels(3, 1, height=9.0, sharex=True), next(iter(found.values())).time
+    for i, (name, limits) in enumerate((("pitch", level), ("roll", level), ("yaw", yaw))):
+        sizes(axes[i, 0], time, {label: errors.euler[..., i] for label, errors in found.items()})
+        axes[i, 0].set_ylabel(f"|{name} error| (deg)")
+        axes[i, 0].set_ylim(*limits)
+    axes[-1, 0].set_xlabel("time (s)")
+    return finish(axes, f"{title}: median of the runs (solid), 95 % of them below (dashed)", columns)

@@ -13,7 +13,7 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 from experiments.command import run  # noqa: E402
-from experiments.figures import finish, panels, sizes  # noqa: E402
+from experiments.figures import attitude_sizes, finish, panels  # noqa: E402
 from experiments.huang_vo_tvk_gps.findings import (  # noqa: E402
     findings,
     mounting_deg,
@@ -89,7 +89,11 @@ def study(runs: int, seed: int) -> Page:
         "Paper: its Table IV, RMSE from 150 s to 250 s, one run. The text of the table at hand is out of order (three "
         "rows for four quantities), so that roll cannot be read; pitch and yaw are the likely reading.",
     )
-    page.picture("errors", "Errors over time", errors_over_time(found["clean"]))
+    page.picture(
+        "errors",
+        "Errors over time",
+        attitude_sizes({label: found["clean"][label] for label in SHOWN}, (3e-3, 10.0), (0.1, 180.0), SCENARIO, 3),
+    )
     page.add("## Sway, outliers, gaps", conditions_table(yaw))
     page.add("## Which is best of the paper's four", ranking_table(yaw["clean"]))
     page.picture("histogram", "Yaw errors of the runs", histogram(yaw["clean"]))
@@ -133,17 +137,6 @@ def conditions_table(yaw: dict[str, dict[str, np.ndarray]]) -> Table:
 
 
 SHOWN = ("q-method", "REQUEST 0.05", "Optimal-REQUEST, physical R", "VO-TVK, constant R", "centred_oba")
-
-
-def errors_over_time(found: dict[str, Errors]) -> Any:
-    """Sizes of the errors in pitch, roll and yaw."""
-    axes = panels(3, 1, height=9.0, sharex=True)
-    for i, (name, low, high) in enumerate((("pitch", 3e-3, 10.0), ("roll", 3e-3, 10.0), ("yaw", 0.1, 180.0))):
-        sizes(axes[i, 0], found[SHOWN[0]].time, {label: found[label].euler[..., i] for label in SHOWN})
-        axes[i, 0].set_ylabel(f"|{name} error| (deg)")
-        axes[i, 0].set_ylim(low, high)
-    axes[-1, 0].set_xlabel("time (s)")
-    return finish(axes, f"{SCENARIO}: median of the runs (solid), 95 % of them below (dashed)", columns=3)
 
 
 def histogram(yaw: dict[str, np.ndarray]) -> Any:

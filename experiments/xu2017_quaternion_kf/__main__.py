@@ -15,7 +15,7 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 from experiments.command import run  # noqa: E402
-from experiments.figures import finish, panels, sizes  # noqa: E402
+from experiments.figures import attitude_sizes  # noqa: E402
 from experiments.monte_carlo import Errors, monte_carlo  # noqa: E402
 from experiments.page import Page, Table  # noqa: E402
 from experiments.statistics import Estimate, between, mean  # noqa: E402
@@ -146,17 +146,6 @@ def turned_table(found: dict[str, dict[str, np.ndarray]]) -> Table:
     return table
 
 
-def over_time(found: dict[str, Errors]) -> Any:
-    """Sizes of the errors in pitch, roll and yaw."""
-    axes = panels(3, 1, height=9.0, sharex=True)
-    for i, (name, low, high) in enumerate((("pitch", 5e-3, 1.0), ("roll", 5e-3, 1.0), ("yaw", 0.05, 100.0))):
-        sizes(axes[i, 0], found[SHOWN[0]].time, {label: found[label].euler[..., i] for label in SHOWN})
-        axes[i, 0].set_ylabel(f"|{name} error| (deg)")
-        axes[i, 0].set_ylim(low, high)
-    axes[-1, 0].set_xlabel("time (s)")
-    return finish(axes, "sway: median of the runs (solid), 95 % of them below (dashed)", columns=2)
-
-
 def study(runs: int, seed: int) -> Page:
     """All methods, and the page on them."""
     made = scenario("sway")
@@ -174,7 +163,11 @@ def study(runs: int, seed: int) -> Page:
         "## Yaw",
         window_table(found, 2, "yaw"),
     )
-    page.picture("errors", "Errors over time", over_time(found))
+    page.picture(
+        "errors",
+        "Errors over time",
+        attitude_sizes({label: found[label] for label in SHOWN}, (5e-3, 1.0), (0.05, 100.0), "sway", 2),
+    )
     page.add("## Roll", window_table(found, 1, "roll"), "## Pitch", window_table(found, 0, "pitch"))
     page.add("## Where the paper's setting is broken up", turned_table(broken))
     page.picture("force", "Force measured and fitted", force_over_time(seed, SAMPLES))
