@@ -12,10 +12,11 @@ Conventions, once for the whole library:
 - float64: enable x64 before anything is built. The library never changes JAX's global settings.
 
 The way of the data: a :class:`Log` is preintegrated to :class:`Epochs`; a method (:mod:`jaxalign.methods`) turns epochs
-into vector pairs, reconstructs, weighs and accumulates them, and reads out attitudes: a :class:`Solution`.
+into vector pairs, reconstructs, weighs and accumulates them, and reads out attitudes: a :class:`Solution`. In front
+of it a :mod:`jaxalign.prefilter` may smooth the force of a standing vehicle.
 """
 
-from jaxalign import earth, io, methods, metrics, rotation, simulate
+from jaxalign import earth, io, methods, metrics, prefilter, rotation, simulate
 from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
@@ -31,14 +32,17 @@ from jaxalign.estimate import (
     Request,
     davenport,
 )
+from jaxalign.fine import ErrorFilter, Fine
 from jaxalign.io import read
 from jaxalign.log import Log
+from jaxalign.navigate import NavState, navigate
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.parameters import parameters, tunable, with_parameters
 from jaxalign.preintegrate import Increment, preintegrate
 from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Measured, Rls
-from jaxalign.solution import Solution, Status
-from jaxalign.two_vector import AbstractRecordMethod, DualVector, MeanTriad
+from jaxalign.record_method import AbstractRecordMethod
+from jaxalign.solution import FilterRecord, Solution, Status
+from jaxalign.two_vector import DualVector, MeanTriad
 from jaxalign.vector import Mat3, Quat, Vec3
 from jaxalign.weight import AbstractWeight, Huber, Mahalanobis, Unit
 
@@ -59,6 +63,9 @@ __all__ = [
     "DualVector",
     "Epoch",
     "Epochs",
+    "ErrorFilter",
+    "FilterRecord",
+    "Fine",
     "Huber",
     "Increment",
     "KMatrixFilter",
@@ -67,6 +74,7 @@ __all__ = [
     "Mat3",
     "MeanTriad",
     "Measured",
+    "NavState",
     "NavVelocity",
     "OptimalRequest",
     "Pair",
@@ -92,7 +100,9 @@ __all__ = [
     "io",
     "methods",
     "metrics",
+    "navigate",
     "parameters",
+    "prefilter",
     "preintegrate",
     "read",
     "rotation",

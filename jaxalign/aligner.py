@@ -14,12 +14,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.aid_noise import white_noise_sd
 from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, epochs_from_log
+from jaxalign.epochs import Epoch, Epochs, check_prefilter, epochs_from_log
 from jaxalign.errors import UserError
 from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.precision import require_x64
+from jaxalign.prefilter import AbstractPrefilter
+from jaxalign.prefilter.base import optional_prefilter
 from jaxalign.reconstruct import AbstractReconstruct, Measured
 from jaxalign.solution import Solution, Status
 from jaxalign.spread import Spread
@@ -68,14 +70,18 @@ class Aligner(eqx.Module):
         reconstruct: measured pairs to modelled ones.
         weight: pairs to weights.
         estimate: weighted pairs to an attitude.
+        prefilter: low-pass filter of the specific force of a whole log of a standing vehicle (:meth:`epochs`); the
+            steps know nothing of it. None: no filter.
     """
 
     observe: AbstractObserve
     reconstruct: AbstractReconstruct = eqx.field(default_factory=Measured)
     weight: AbstractWeight = eqx.field(default_factory=Unit)
     estimate: AbstractEstimate = eqx.field(kw_only=True)
+    prefilter: AbstractPrefilter | None = optional_prefilter()
 
     def __check_init__(self):
+        check_prefilter(self.prefilter, self.aid)
         for slot in (self.reconstruct, self.weight, self.estimate):
             slot.check(self.observe)
 
@@ -199,7 +205,9 @@ class Aligner(eqx.Module):
             raise UserError(
                 f"{log.name} has a {log.aid!r} aid, the method observes {self.aid!r}: build it with aid={log.aid!r}"
             )
-        return epochs_from_log(log, interval_samples=self.observe.interval_samples, static=static)
+        return epochs_from_log(
+            log, interval_samples=self.observe.interval_samples, static=static, prefilter=self.prefilter
+        )
 
     def solve(self, epochs: Epochs, every: int = 1) -> Solution:
         """Align epochs: one compiled scan; also inside jit, vmap and grad."""
@@ -279,6 +287,13 @@ def estimate_aid_sd(epochs: Epochs) -> float:
     return sd
 
 
+def _measured(method: Any, log: Log, epochs: Epochs) -> Epochs:
+    """The epochs of a log as measured: behind a prefilter the noise is not white, and cannot be estimated."""
+    if getattr(method, "prefilter", None) is None:
+        return epochs
+    return dataclasses.replace(method, prefilter=None).epochs(log)
+
+
 def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) -> Solution:
     """Align a log with a method.
 
@@ -317,7 +332,7 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
         epochs = method.epochs(log)
         if aid_sd is None:
             stated = log.aid_sd is not None and log.aid == epochs.aid
-            aid_sd = log.aid_sd if stated else estimate_aid_sd(epochs)
+            aid_sd = log.aid_sd if stated else estimate_aid_sd(_measured(method, log, epochs))
     if aid_sd is not None:
         if not isinstance(aid_sd, Tracer) and not np.all(np.asarray(aid_sd) > 0):
             raise UserError(f"aid_sd = {aid_sd}: the standard deviation of the aid's noise must be above 0 m/s")

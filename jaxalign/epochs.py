@@ -16,10 +16,11 @@ from jaxalign.earth import Site
 from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.precision import require_x64
+from jaxalign.prefilter import AbstractPrefilter, filtered_force
 from jaxalign.preintegrate import Increment, Scheme, preintegrate
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["Aid", "Epoch", "Epochs", "epochs_from_arrays", "epochs_from_log"]
+__all__ = ["Aid", "Epoch", "Epochs", "check_prefilter", "epochs_from_arrays", "epochs_from_log"]
 
 Aid = Literal["static", "body", "nav"]
 
@@ -90,6 +91,22 @@ def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
     return Epoch(rows.rotation, rows.dvel, steps, safe, valid)
 
 
+_filtered = eqx.filter_jit(filtered_force)
+
+
+def check_prefilter(prefilter: AbstractPrefilter | None, aid: str) -> None:
+    """Refuse a prefilter for a moving vehicle.
+
+    Raises:
+        UserError: the aid is a velocity.
+    """
+    if prefilter is not None and aid != "static":
+        raise UserError(
+            f"a prefilter smooths the force of a standing vehicle; with a {aid!r} aid it would smooth the motion "
+            "itself away: leave it out"
+        )
+
+
 def epochs_from_arrays(
     dtheta: Float[ArrayLike, "samples 3"],
     dvel: Float[ArrayLike, "samples 3"],
@@ -101,6 +118,7 @@ def epochs_from_arrays(
     aid: Aid,
     aid_sd: float = 1.0,
     scheme: Scheme = "pairs",
+    prefilter: AbstractPrefilter | None = None,
 ) -> Epochs:
     """Preintegrate arrays; pure and differentiable in all of them (for logs use :func:`epochs_from_log`).
 
@@ -114,13 +132,17 @@ def epochs_from_arrays(
         aid: what ``velocity`` is.
         aid_sd: noise of the aid, m/s.
         scheme: of the preintegration.
+        prefilter: low-pass filter of the specific force of a standing vehicle, before anything else.
 
     Raises:
-        UserError: float32 input, or an unknown kind of aid.
+        UserError: float32 input, an unknown kind of aid, or a prefilter with a velocity aid.
     """
     require_x64({"dtheta": dtheta, "dvel": dvel, "velocity": velocity, "site": site})
     if aid not in get_args(Aid):
         raise UserError(f"aid = {aid!r}: must be one of {', '.join(get_args(Aid))}")
+    if prefilter is not None:
+        check_prefilter(prefilter, aid)
+        dvel = _filtered(prefilter, dtheta, dvel, dt)
     intervals = len(jnp.asarray(dtheta)) // every
     velocity = jnp.zeros((intervals + 1, 3)) if velocity is None else jnp.asarray(velocity)
     if len(velocity) != intervals + 1:
@@ -131,7 +153,12 @@ def epochs_from_arrays(
 
 
 def epochs_from_log(
-    log: Log, *, interval_samples: int | None = None, scheme: Scheme = "pairs", static: bool = False
+    log: Log,
+    *,
+    interval_samples: int | None = None,
+    scheme: Scheme = "pairs",
+    static: bool = False,
+    prefilter: AbstractPrefilter | None = None,
 ) -> Epochs:
     """Preintegrate a log.
 
@@ -141,9 +168,10 @@ def epochs_from_log(
             the aid's interval: the epochs between two fixes have no aid.
         scheme: of the preintegration.
         static: take the vehicle as standing, whatever aid the log has.
+        prefilter: low-pass filter of the specific force, before anything else; standing vehicles only.
 
     Raises:
-        UserError: float32, or an ``interval_samples`` that does not fit.
+        UserError: float32, an ``interval_samples`` that does not fit, or a prefilter with a velocity aid.
     """
     require_x64()
     every = interval_samples or log.aid_every
@@ -174,4 +202,5 @@ def epochs_from_log(
         aid=aid,  # type: ignore[arg-type]
         aid_sd=1.0 if log.aid_sd is None else log.aid_sd,
         scheme=scheme,
+        prefilter=prefilter,
     )

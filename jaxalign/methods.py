@@ -6,6 +6,7 @@ else is set by path, with :func:`jaxalign.with_parameters`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +15,10 @@ from jaxalign.aligner import Aligner
 from jaxalign.epochs import Aid
 from jaxalign.errors import UserError, close_names
 from jaxalign.estimate import CentredWahba, KMatrixFilter, OptimalRequest, QMethod, QuaternionFilter, Request
+from jaxalign.fine import Fine
 from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
 from jaxalign.parameters import with_parameters
+from jaxalign.prefilter import PREFILTERS, AbstractPrefilter
 from jaxalign.reconstruct import ApparentVelocityFilter, Rls
 from jaxalign.two_vector import DualVector, MeanTriad
 from jaxalign.weight import Huber, Mahalanobis
@@ -26,6 +29,7 @@ __all__ = [
     "build",
     "centred_oba",
     "dual_vector",
+    "fine",
     "gravity_q",
     "moba",
     "oba",
@@ -90,6 +94,12 @@ def triad(aid: Aid = "static", **options: Any) -> MeanTriad:
 def dual_vector(aid: Aid = "static", **options: Any) -> DualVector:
     """Gravity in inertial space early and late, each averaged with a Hann window, and TRIAD."""
     return DualVector(**options)
+
+
+@_recipe("static", source="vondrak_disturbed_base (6)-(20), signs repaired")
+def fine(aid: Aid = "static", **options: Any) -> Fine:
+    """Fine alignment: 15-state error Kalman filter with zero-velocity updates, started by dual_vector."""
+    return Fine(**options)
 
 
 @_recipe("static", source="xu2017 (7)-(12), Scheme 1")
@@ -171,16 +181,24 @@ def centred_oba(aid: Aid = "body", **options: Any) -> Aligner:
     return Aligner(observer(aid, **options), estimate=CentredWahba())
 
 
-def build(name: str, aid: str | None = None, parameters: dict[str, Any] | None = None) -> Any:
+def build(
+    name: str,
+    aid: str | None = None,
+    parameters: dict[str, Any] | None = None,
+    prefilter: str | AbstractPrefilter | None = None,
+) -> Any:
     """A method by name.
 
     Args:
         name: of the recipe.
         aid: "static", "body" or "nav"; by default what the recipe is first meant for.
         parameters: path -> value (strings are parsed), see :func:`jaxalign.with_parameters`.
+        prefilter: low-pass filter of the specific force in front of a method for a standing vehicle: a name of
+            :data:`jaxalign.prefilter.PREFILTERS` or a filter; its numbers are ``prefilter.cutoff`` and so on.
 
     Raises:
-        UserError: unknown name or parameter (the nearest are offered), or an aid that the recipe does not take.
+        UserError: unknown name, filter or parameter (the nearest are offered), an aid that the recipe does not take, or
+            a prefilter with a velocity aid.
     """
     if name not in RECIPES:
         near = close_names(name, RECIPES)
@@ -190,4 +208,12 @@ def build(name: str, aid: str | None = None, parameters: dict[str, Any] | None =
     kind = aid or recipe.aids[0]
     if kind not in recipe.aids:
         raise UserError(f"{name} does not take a {kind!r} aid, only {', '.join(recipe.aids)}")
-    return with_parameters(recipe.make(kind), parameters or {})
+    method = recipe.make(kind)
+    if isinstance(prefilter, str):
+        if prefilter not in PREFILTERS:
+            near = close_names(prefilter, PREFILTERS) or list(PREFILTERS)
+            raise UserError(f"no prefilter {prefilter!r}: did you mean {', '.join(near)}?")
+        prefilter = PREFILTERS[prefilter]()
+    if prefilter is not None:
+        method = dataclasses.replace(method, prefilter=prefilter)
+    return with_parameters(method, parameters or {})

@@ -43,6 +43,8 @@ def _fields(module: Any, prefix: str = "") -> Iterator[tuple[str, Any, dataclass
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         path = f"{prefix}{field.name}"
+        if value is None and field.metadata.get("slot"):
+            continue  # an empty slot has nothing to set
         if isinstance(value, eqx.Module):
             yield from _fields(value, f"{path}.")
         else:

@@ -53,6 +53,18 @@ class Increment(eqx.Module):
         """This interval followed by a later one."""
         return Increment(self.rotation * later.rotation, self.dvel + self.rotation.rotate(later.dvel))
 
+    def corrected(self, gyro_bias: Vec3, accel_bias: Vec3, dt: Any) -> Increment:
+        """Without constant biases (rad/s, m/s^2, b) of the sensors, to first order in them.
+
+        Half of the gyro's bias is taken out before and half after the rotation; that of the accelerometers is turned
+        by half the rotation.
+        """
+        turn = gyro_bias * dt
+        half = Quat.exp(turn * -0.5)
+        middle = Quat.exp(self.rotation.log() * 0.5)
+        dvel = self.dvel - middle.rotate(accel_bias) * dt - turn.cross(self.dvel) * 0.5
+        return Increment(half * self.rotation * half, dvel)
+
 
 def _mean_rotated_series(rotvec: Vec3, v: Vec3) -> Vec3:
     """:func:`mean_rotated` to second order in the rotation."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.rotation import dcm_from_quat, euler_from_quat, heading_deg
 
-__all__ = ["Solution", "Status"]
+__all__ = ["FilterRecord", "Solution", "Status"]
 
 
 class Status(IntFlag):
@@ -34,6 +34,26 @@ class Status(IntFlag):
 
 _dcm, _euler = jax.jit(dcm_from_quat), jax.jit(euler_from_quat)
 _heading = jax.jit(lambda q: heading_deg(euler_from_quat(q)[..., 2]))
+
+
+class FilterRecord(eqx.Module):
+    """What a filter with an error model tells beside the attitude.
+
+    Attributes:
+        gyro_bias: (K, 3) rad/s, b.
+        accel_bias: (K, 3) m/s^2, b.
+        covariance: (K, n, n) of its error states, SI.
+        innovation: (K, m) measured minus predicted at this epoch; zero where there was no update.
+        innovation_covariance: (K, m, m).
+        updated: (K,) 1 where there was an update, else 0.
+    """
+
+    gyro_bias: Float[Array, "*K 3"]
+    accel_bias: Float[Array, "*K 3"]
+    covariance: Float[Array, "*K n n"]
+    innovation: Float[Array, "*K m"]
+    innovation_covariance: Float[Array, "*K m m"]
+    updated: Float[Array, "*K"]
 
 
 class Solution(eqx.Module):
@@ -59,6 +79,7 @@ class Solution(eqx.Module):
         sd: (K, 3) standard deviations of the error in n (east, north, up), rad, where the method knows them; else None.
         status: (K,) bits, see :class:`Status`.
         aid_sd: (K,) the aid's noise that was assumed, m/s, in every row.
+        filter: biases, covariance and innovations of a method with an error model (``fine``); else None.
     """
 
     time: Float[Array, "*K"]
@@ -73,6 +94,7 @@ class Solution(eqx.Module):
     sd: Float[Array, "*K 3"] | None
     status: Int[Array, "*K"]
     aid_sd: Float[Array, "*K"]
+    filter: FilterRecord | None = None
 
     def _masked(self, values: ArrayLike) -> np.ndarray:
         out = np.array(values)
@@ -111,4 +133,10 @@ class Solution(eqx.Module):
         }
         if self.sd is not None:
             out["sd_deg"] = self._masked(np.rad2deg(self.sd))
+        if self.filter is not None:
+            out["gyro_bias"] = self._masked(self.filter.gyro_bias)
+            out["accel_bias"] = self._masked(self.filter.accel_bias)
+            out["covariance"] = self._masked(self.filter.covariance)
+            out["innovation"] = self._masked(self.filter.innovation)
+            out["innovation_covariance"] = self._masked(self.filter.innovation_covariance)
         return out

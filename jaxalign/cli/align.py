@@ -35,11 +35,16 @@ def add(commands: Any) -> None:
         help="see `jaxalign methods` (default: gravity_q without an aid, centred_oba with one)",
     )
     command.add_argument(
+        "--prefilter",
+        metavar="NAME",
+        help="low-pass filter of the specific force of a standing vehicle: vondrak, fir or wavelet (default: none)",
+    )
+    command.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="SLOT.FIELD=VALUE",
-        help="a parameter of the method, e.g. observe.window=60; may be repeated",
+        help="a parameter of the method or prefilter, e.g. observe.window=60, prefilter.cutoff=0.5; may be repeated",
     )
     command.add_argument(
         "--every", type=int, default=1, metavar="N", help="read out the attitude every N epochs (default 1)"
@@ -64,7 +69,8 @@ def _run(options: argparse.Namespace) -> int:
     name = options.method or ("gravity_q" if log.aid == "static" else "centred_oba")
     # A method for a standing vehicle ignores the aid; one that takes any aid takes the log's.
     kinds = RECIPES[name].aids if name in RECIPES else ()
-    method = build(name, "static" if kinds == ("static",) else log.aid, assignments(options.set))
+    aid = "static" if kinds == ("static",) else log.aid
+    method = build(name, aid, assignments(options.set), options.prefilter)
     plots = None
     if options.plot:
         from jaxalign import plots
@@ -87,6 +93,7 @@ def _run(options: argparse.Namespace) -> int:
         recipe = {
             "method": name,
             "aid": method.aid,
+            "prefilter": options.prefilter,
             "parameters": parameters(method),
             "every": options.every,
             "aid_sd": float(solution.aid_sd[-1]),

@@ -19,11 +19,17 @@ def add(commands: Any) -> None:
     command.set_defaults(run=_run)
 
 
+def _settable(part: Any) -> str:
+    from jaxalign.parameters import parameters
+
+    return ", ".join(f"{path}={value}".lower() for path, value in parameters(part).items())
+
+
 def _run(options: argparse.Namespace) -> int:
     import inspect
 
     from jaxalign.methods import RECIPES, build
-    from jaxalign.parameters import parameters
+    from jaxalign.prefilter import PREFILTERS
 
     if options.name:
         build(options.name)  # one message for an unknown name
@@ -35,11 +41,16 @@ def _run(options: argparse.Namespace) -> int:
         print(f"{'':{width}s}aids: {', '.join(recipe.aids)}; source: {recipe.source}")
         for aid in recipe.aids:
             method = build(recipe.name, aid)
-            values = ", ".join(f"{path}={value}".lower() for path, value in parameters(method).items())
-            print(f"{'':{width}s}{aid}: {values}")
+            print(f"{'':{width}s}{aid}: {_settable(method)}")
             if options.name:
-                slots = (getattr(method, slot, None) for slot in ("observe", "reconstruct", "weight", "estimate"))
+                names = ("observe", "reconstruct", "weight", "estimate", "coarse", "filter")
+                slots = (getattr(method, slot, None) for slot in names)
                 for part in (method, *slots):
                     if part is not None:
                         print(f"\n[{type(part).__name__}]\n{inspect.getdoc(type(part))}\n")
+    if not options.name:
+        print("\nprefilters (--prefilter NAME, --set prefilter.FIELD=VALUE), for a standing vehicle:")
+        for name, kind in PREFILTERS.items():
+            summary = (inspect.getdoc(kind) or "").splitlines()[0]
+            print(f"{name:{width}s}{summary}\n{'':{width}s}{_settable(kind())}")
     return 0

@@ -7,14 +7,18 @@ from typing import Any
 import numpy as np
 
 from jaxalign.cli.report import table
+from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.log import Log
 from jaxalign.metrics import attitude_error_deg
+from jaxalign.parameters import parameters
+from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.reconstruct import Measured
-from jaxalign.solution import Solution, Status
+from jaxalign.solution import FilterRecord, Solution, Status
 
 __all__ = ["misfit", "summary"]
 
 _ROWS = 12  # of the table
+_FEW = 20  # innovations to judge by
 _SUSPECT, _BROKEN = 3.0, 30.0  # misfits, in standard deviations of the noise
 _AIDS = {"static": "no aid (standing)", "body": "body velocity", "nav": "navigation velocity"}
 
@@ -106,6 +110,8 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
         fitted = not isinstance(getattr(method, "reconstruct", Measured()), Measured)
         note = " (of reconstructed vectors: they hide outliers and biases)" if fitted else ""
         out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s{note}")
+    if solution.sd is not None and solution.filter is not None and solution.defined[-1]:
+        out += _belief(solution.sd, solution.filter, getattr(method, "prefilter", None) is not None)
     if method.aid != "static" and log.missing.any():
         out.append(f"aid missing at {int(log.missing.sum())} of {log.epochs + 1} of its epochs: skipped and bridged")
     singular = (np.asarray(solution.status) & Status.SINGULAR) != 0
@@ -115,6 +121,41 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
     if np.asarray(solution.status)[-1] & Status.NON_FINITE:
         out.append("THE RESULT IS NOT FINITE: the data overflow somewhere; do not use it")
     return out
+
+
+def _described(prefilter: AbstractPrefilter) -> str:
+    values = ", ".join(f"{path} {value}" for path, value in parameters(prefilter).items())
+    return f"{type(prefilter).__name__} ({values})"
+
+
+def _belief(sd: Any, told: FilterRecord, filtered: bool) -> list[str]:
+    """What the filter says of itself."""
+    from jaxalign.fine import nis
+
+    east, north, up = np.rad2deg(np.asarray(sd)[-1])
+    gyro, accel = np.asarray(told.gyro_bias)[-1], np.asarray(told.accel_bias)[-1]
+    out = [f"the filter's own standard deviations: east {east:.4f}, north {north:.4f}, heading {up:.4f} deg"]
+    used = np.asarray(told.updated) > 0
+    if used.sum() >= _FEW:
+        size = told.innovation.shape[1]
+        ratio = float(np.mean(nis(told.innovation[used], told.innovation_covariance[used]))) / size
+        judged = ""
+        if filtered:
+            judged = ": behind a prefilter that is no test, and the standard deviations are not honest"
+        elif ratio > 2:
+            judged = ": its noise is stated too small (filter.velocity_sd?): do not trust its standard deviations"
+        elif ratio < 0.5:
+            judged = ": its noise is stated too large (filter.velocity_sd?): its standard deviations are cautious"
+        out.append(f"  its innovations squared are {ratio:.2g} times what it expects{judged}")
+    gyro_deg_h, accel_ug = np.rad2deg(gyro) * 3600, accel / (STANDARD_GRAVITY * 1e-6)
+    out.append(
+        f"  biases (right, forward, up): gyros {_numbers(gyro_deg_h)} deg/h, accelerometers {_numbers(accel_ug)} ug"
+    )
+    return out
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{x:.3g}" for x in values)
 
 
 def summary(log: Log, name: str, method: Any, solution: Solution, estimated: bool) -> list[str]:
@@ -131,12 +172,15 @@ def summary(log: Log, name: str, method: Any, solution: Solution, estimated: boo
     kind = "white noise of the aid"
     if method.aid == "static":
         kind = f"noise of the force, integrated over {interval:g} s,"
+    prefilter = getattr(method, "prefilter", None)
+    filtered = None if prefilter is None else _described(prefilter)
     error = attitude_error_deg(solution, log)
     pitch, roll, _ = solution.euler_deg[-1]
     out = [
         f"{log.name}: {_AIDS[log.aid]}, {log.duration:g} s, IMU {1 / log.dt:g} Hz, epochs of {interval:g} s",
         f"method {name}; {kind} {float(solution.aid_sd[-1]):.2g} m/s "
         f"({'estimated from the data' if estimated else 'as stated'})",
+        *([] if filtered is None else [f"specific force behind {filtered}"]),
         *(f"warning: {warning}" for warning in log.warnings),
         "",
         _attitudes(log, solution, error),

@@ -1,13 +1,35 @@
-"""Filters of whole records; they know nothing of alignment."""
+"""Filters of whole records, their spectra and what to choose them by; they know nothing of alignment."""
 
-from jaxalign.prefilter.vondrak import (
-    Factor,
-    cutoff_from_theta,
-    factor,
-    gain,
-    smooth,
-    solve,
-    theta_from_cutoff,
-)
+from jaxalign.prefilter.banded import Factor, factor, smooth, solve
+from jaxalign.prefilter.base import AbstractPrefilter
+from jaxalign.prefilter.fir import Fir
+from jaxalign.prefilter.force import filtered_force
+from jaxalign.prefilter.objectives import changes_db, misfit, printed, reconstructed
+from jaxalign.prefilter.spectrum import multitaper
+from jaxalign.prefilter.vondrak import Vondrak, cutoff_from_theta, gain, theta_from_cutoff, vondrak
+from jaxalign.prefilter.wavelet import Wavelet
 
-__all__ = ["Factor", "cutoff_from_theta", "factor", "gain", "smooth", "solve", "theta_from_cutoff"]
+__all__ = [
+    "PREFILTERS",
+    "AbstractPrefilter",
+    "Factor",
+    "Fir",
+    "Vondrak",
+    "Wavelet",
+    "changes_db",
+    "cutoff_from_theta",
+    "factor",
+    "filtered_force",
+    "gain",
+    "misfit",
+    "multitaper",
+    "printed",
+    "reconstructed",
+    "smooth",
+    "solve",
+    "theta_from_cutoff",
+    "vondrak",
+]
+
+PREFILTERS = {"vondrak": Vondrak, "fir": Fir, "wavelet": Wavelet}
+"""The filters by name."""

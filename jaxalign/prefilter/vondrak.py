@@ -1,31 +1,34 @@
-"""Vondrak's smoothing: a zero-phase low-pass filter for a whole record, for any spacing and any weights.
+"""Vondrak's filter: one number to choose, exact on quadratics, for any spacing and any weights.
 
 The smoothed values s minimise ``F + S / theta`` with F the mean weighted square of y - s and S the mean square of the
-third derivative of s (of the cubic through four neighbours, over the middle interval). For equal spacing the gain is
-``1 / (1 + (2 sin(pi f dt) / dt)^6 / theta)`` in the interior. Weighted sums of y, t y and t^2 y are preserved exactly;
-the first and last samples are hardly filtered: never use one of them for a vector.
-
-The normal matrix is ill-conditioned (4e12 at 0.5 Hz and 200 Hz, where Cholesky is wrong by 100 ug), so its square root
-is factored: a banded Givens QR of [sqrt(P); sqrt(kappa) D], O(N), one scan. In float32 even that loses everything below
-a cut-off of 0.05 / dt; it would take a Kalman smoother in time scaled to the cut-off.
+third derivative of s. For equal spacing the gain is ``1 / (1 + (2 sin(pi f dt) / dt)^6 / theta)`` in the interior, that
+of a third-order Butterworth run forth and back. Weighted sums of y, t y and t^2 y are preserved exactly, so a mean of
+filtered data is the mean of the data; the first and last samples are hardly filtered (the response at twice the cut-off
+is 0.99 at sample 0, 0.14 after a quarter of the period 1 / cut-off): never use one of them as a vector.
 
 Source: the Vondrak paper (19)-(24) in Vondrak's own normalisation; as printed (22)-(23) lack it, which moves the
-cut-off by dt^(-1/6).
+cut-off by dt^(-1/6). (24) is the limit of the gain for small f dt.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-__all__ = ["Factor", "cutoff_from_theta", "factor", "gain", "smooth", "solve", "theta_from_cutoff"]
+from jaxalign.errors import UserError
+from jaxalign.parameters import tunable
+from jaxalign.precision import require_x64
+from jaxalign.prefilter.banded import smooth
+from jaxalign.prefilter.base import AbstractPrefilter
 
-_UNROLL = 8
+__all__ = ["Vondrak", "cutoff_from_theta", "gain", "theta_from_cutoff", "vondrak"]
 
 
 def theta_from_cutoff(cutoff: Any, gain: Any = 0.5) -> Any:
@@ -43,176 +46,107 @@ def gain(frequency: Any, dt: Any, theta: Any) -> Any:
     return 1.0 / (1.0 + (2 * jnp.sin(jnp.pi * frequency * dt) / dt) ** 6 / theta)
 
 
-class Factor(eqx.Module):
-    """A factored problem: good for any number of columns of data.
+class Vondrak(AbstractPrefilter):
+    """Vondrak's filter by its cut-off frequency; the smoothing factor is (2 pi cutoff)^6 (:func:`theta_from_cutoff`).
+
+    float64 is good to cutoff x dt = 1e-4; below, rounding shows.
 
     Attributes:
-        root: (N,) square roots of the weights.
-        quadratics: three polynomials of at most second degree, (N,) each, orthonormal under the weights.
-        r: four diagonals of R, (N,) each, the main one first.
-        c: cosines of the rotations, four of (N-3,).
-        s: sines.
+        cutoff: frequency (Hz) of gain 0.5.
+        frame: in which the specific force is filtered: "inertial" (the gyros turn it into b at the start and back;
+            right on a base that rocks) or "body" (axis by axis as measured).
+
+    Source: the Vondrak paper, section 4; its cut-off is 0.5 Hz.
     """
 
-    root: Float[Array, " n"]
-    quadratics: tuple[Float[Array, " n"], ...]
-    r: tuple[Float[Array, " n"], ...]
-    c: tuple[Float[Array, " m"], ...]
-    s: tuple[Float[Array, " m"], ...]
+    cutoff: Float[Array, ""] = tunable(0.5, unit="Hz", bounds=(1e-3, 100.0))
+    frame: Literal["inertial", "body"] = eqx.field(static=True, default="inertial")
+
+    @property
+    def theta(self) -> Any:
+        """Smoothing factor, s^-6."""
+        return theta_from_cutoff(self.cutoff)
+
+    def __call__(self, x: Float[Array, "samples axes"], dt: float) -> Float[Array, "samples axes"]:
+        """The filtered record; differentiable in it and in the cut-off."""
+        n = x.shape[0]
+        t, p = jnp.arange(n, dtype=jnp.float64) * dt, jnp.ones(n, jnp.float64)
+        return jax.vmap(smooth, (None, 1, None, None), 1)(t, x, p, self.theta)
+
+    def response(self, frequency: Any, dt: float) -> Any:
+        """Gain at frequencies (Hz): exact in the interior."""
+        return gain(frequency, dt, self.theta)
 
 
-def _rows(t: Array, theta: Any) -> tuple[Array, ...]:
-    """The four diagonals of sqrt(kappa) D, (N-3,) each.
+def vondrak(
+    t: Float[ArrayLike, " n"],
+    y: Float[ArrayLike, "*shape"],
+    cutoff: Any = 0.5,
+    *,
+    theta: Any = None,
+    weights: Float[ArrayLike, " n"] | None = None,
+) -> Float[Array, "*shape"]:
+    """Smooth a record with any spacing, any weights and missing samples.
 
-    From the spacings in units of their mean, so that no difference of large times is taken.
-    """
-    n = t.shape[0]
-    h = jnp.diff(t)
-    tau = jnp.mean(h)
-    h = h / tau
-    a, b, c = h[:-2], h[1:-1], h[2:]
-    scale = 6.0 * jnp.sqrt(b) * jnp.sqrt((n - 3) / (theta * (t[n - 2] - t[1]) * tau**5))
-    return (
-        -scale / (a * (a + b) * (a + b + c)),
-        scale / (a * b * (b + c)),
-        -scale / ((a + b) * b * c),
-        scale / ((a + b + c) * (b + c) * c),
-    )
-
-
-def _quadratics(t: Array, root: Array) -> tuple[Array, ...]:
-    """They pass unchanged: taken out of the data first, they cost no digits."""
-    x = 2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0
-    weight, found = root * root, []
-    for f in (jnp.ones_like(x), x, x * x):
-        for _ in range(2):  # Gram-Schmidt, twice is enough
-            for g in found:
-                f = f - jnp.sum(weight * f * g) * g
-        found.append(f / jnp.sqrt(jnp.sum(weight * f * f)))
-    return tuple(found)
-
-
-def _rotation(a: Any, b: Any) -> tuple[Any, Any, Any]:
-    """C, s and the length of (a, b), with c a + s b = length."""
-    square = a * a + b * b
-    some = square > 0
-    length = jnp.sqrt(jnp.where(some, square, 1.0))
-    return jnp.where(some, a / length, 1.0), jnp.where(some, b / length, 0.0), jnp.where(some, length, 0.0)
-
-
-def factor(t: Float[ArrayLike, " n"], p: Float[ArrayLike, " n"], theta: Any) -> Factor:
-    """Factor the problem: depends on times (s, increasing), weights (>= 0, three above) and theta (s^-6) only."""
-    t, p = jnp.asarray(t), jnp.asarray(p)
-    n = t.shape[0]
-    rows = _rows(t, theta)
-    root = jnp.sqrt(jnp.where(p > 0, p, 1.0)) * (p > 0)
-
-    def step(window, row):
-        """Rotate one row of D into the triangle of four columns; its first row is then final."""
-        (w00, w01, w02), (w11, w12), (w22,) = window
-        d0, d1, d2, d3, new = row
-        c0, s0, r00 = _rotation(w00, d0)
-        r01, d1 = c0 * w01 + s0 * d1, c0 * d1 - s0 * w01
-        r02, d2 = c0 * w02 + s0 * d2, c0 * d2 - s0 * w02
-        r03, d3 = s0 * d3, c0 * d3
-        c1, s1, x11 = _rotation(w11, d1)
-        x12, d2 = c1 * w12 + s1 * d2, c1 * d2 - s1 * w12
-        x13, d3 = s1 * d3, c1 * d3
-        c2, s2, x22 = _rotation(w22, d2)
-        x23, d3 = s2 * d3, c2 * d3
-        c3, s3, x33 = _rotation(new, d3)
-        out = (r00, r01, r02, r03), (c0, c1, c2, c3), (s0, s1, s2, s3)
-        return ((x11, x12, x13), (x22, x23), (x33,)), out
-
-    zero = jnp.zeros_like(root[0])
-    start = ((root[0], zero, zero), (root[1], zero), (root[2],))
-    last, (r, c, s) = jax.lax.scan(step, start, (*rows, root[3:]), unroll=_UNROLL)
-    (w00, w01, w02), (w11, w12), (w22,) = last
-    ends = ((w00, w11, w22), (w01, w12, zero), (w02, zero, zero), (zero, zero, zero))
-    diagonals = tuple(jnp.concatenate([x, jnp.stack(e)]) for x, e in zip(r, ends, strict=True))
-    assert diagonals[0].shape[0] == n
-    return Factor(root, _quadratics(t, root), diagonals, c, s)
-
-
-def _back(f: Factor, z: Array) -> Array:
-    """R x = z."""
-
-    def step(carry, row):
-        x1, x2, x3 = carry
-        z, r0, r1, r2, r3 = row
-        x = (z - r1 * x1 - r2 * x2 - r3 * x3) / r0
-        return (x, x1, x2), x
-
-    zero = jnp.zeros_like(z[0])
-    return jax.lax.scan(step, (zero, zero, zero), (z, *f.r), reverse=True, unroll=_UNROLL)[1]
-
-
-def _forward(f: Factor, b: Array) -> Array:
-    """R^T z = b."""
-    r0, r1, r2, r3 = f.r
-    shifted = (jnp.concatenate([jnp.zeros(k), r[: r.shape[0] - k]]) for k, r in ((1, r1), (2, r2), (3, r3)))
-
-    def step(carry, row):
-        z1, z2, z3 = carry
-        b, r0, r1, r2, r3 = row
-        z = (b - r1 * z1 - r2 * z2 - r3 * z3) / r0
-        return (z, z1, z2), z
-
-    zero = jnp.zeros_like(b[0])
-    return jax.lax.scan(step, (zero, zero, zero), (b, r0, *shifted), unroll=_UNROLL)[1]
-
-
-def solve(f: Factor, y: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Smooth one column of data with a factored problem; vmap it over columns."""
-    y = jnp.where(f.root > 0, y, 0.0)
-    passing = sum(jnp.sum(f.root**2 * y * g) * g for g in f.quadratics)
-    rhs = f.root * (y - passing)
-
-    def step(window, row):
-        z0, z1, z2 = window
-        z3, (c0, c1, c2, c3), (s0, s1, s2, s3) = row
-        out, d = c0 * z0 + 0.0, -s0 * z0
-        z1, d = c1 * z1 + s1 * d, c1 * d - s1 * z1
-        z2, d = c2 * z2 + s2 * d, c2 * d - s2 * z2
-        z3 = c3 * z3 + s3 * d
-        return (z1, z2, z3), out
-
-    last, z = jax.lax.scan(step, (rhs[0], rhs[1], rhs[2]), (rhs[3:], f.c, f.s), unroll=_UNROLL)
-    return passing + _back(f, jnp.concatenate([z, jnp.stack(last)]))
-
-
-@jax.custom_jvp
-def smooth(
-    t: Float[Array, " n"], y: Float[Array, " n"], p: Float[Array, " n"], theta: Float[Array, ""]
-) -> Float[Array, " n"]:
-    """Smoothed values of one column; differentiable in y, p and theta (not in t) by one more solve.
+    Pure; differentiable in the data, the weights and the cut-off (not in the times), and vmappable. Inside traced code
+    only the length can be checked; concrete input is checked whole.
 
     Args:
         t: times, s, increasing.
-        y: data; any finite number where p is zero.
-        p: weights (1 for a sample, 0 for a missing one); at least three above zero.
-        theta: smoothing factor, s^-6.
+        y: the data, (n,) or (n, axes); a sample with a NaN in it gets weight zero (all its axes).
+        cutoff: frequency of gain 0.5, Hz.
+        theta: smoothing factor, s^-6, instead of the cut-off.
+        weights: of the samples, >= 0, dimensionless; default 1.
+
+    Returns:
+        Smoothed values at all the times, also of missing samples.
+
+    Raises:
+        UserError: fewer than four samples, or three with a weight; times or weights that are not finite; times that
+            do not increase; negative weights; a cut-off or theta that is not positive; infinite data; float32.
     """
-    return solve(factor(t, p, theta), y)
+    require_x64({"t": t, "y": y, "weights": weights})
+    t, y = jnp.asarray(t, jnp.float64), jnp.asarray(y, jnp.float64)
+    p = jnp.ones(t.shape) if weights is None else jnp.asarray(weights, jnp.float64)
+    if t.ndim != 1 or y.ndim not in (1, 2) or y.shape[:1] != t.shape or p.shape != t.shape:
+        raise UserError(
+            f"vondrak: times {t.shape}, data {y.shape}, weights {p.shape}: give (n,) times, (n,) or (n, axes) data "
+            "and (n,) weights"
+        )
+    if len(t) < 4:
+        raise UserError(f"vondrak: {len(t)} samples: third derivatives need at least four")
+    bad = ~jnp.isfinite(y).reshape(len(t), -1).all(axis=1)
+    _check(t, y, p, "theta" if theta is not None else "cutoff", cutoff if theta is None else theta)
+    p = jnp.where(bad, 0.0, p)
+    y = jnp.where(jnp.isfinite(y), y, 0.0)
+    theta = jnp.asarray(theta_from_cutoff(cutoff) if theta is None else theta, jnp.float64)
+    columns = y.reshape(len(t), -1)
+    return jax.vmap(smooth, (None, 1, None, None), 1)(t, columns, p, theta).reshape(y.shape)
 
 
-@smooth.defjvp
-def _smooth_jvp(primals, tangents):
-    t, y, p, theta = primals
-    _, dy, dp, dtheta = tangents
-    f = factor(t, p, theta)
-    s = solve(f, y)
-    # (P + kappa D'D) s = P y, kappa ~ 1/theta: differentiate both sides, with kappa D'D s = p (y - s).
-    rhs = p * dy + dp * (y - s) + p * (y - s) * (dtheta / theta)
-
-    def apply(x):
-        rows = _rows(t, theta)
-        third = sum(d * x[i : x.shape[0] - 3 + i] for i, d in enumerate(rows))
-        back = sum(jnp.pad(d * third, (i, 3 - i)) for i, d in enumerate(rows))
-        return p * x + back
-
-    def inverse(_, b):
-        return _back(f, _forward(f, b))
-
-    ds = jax.lax.custom_linear_solve(apply, rhs, inverse, transpose_solve=inverse, symmetric=True)
-    return s, ds
+def _check(t: Any, y: Any, p: Any, name: str, number: Any) -> None:
+    """Refuse bad concrete input; tracers pass."""
+    if not isinstance(number, Tracer) and not (np.ndim(number) == 0 and np.isfinite(number) and number > 0):
+        unit = "s^-6" if name == "theta" else "Hz"
+        raise UserError(f"vondrak: {name} = {number}: must be one positive, finite number ({unit})")
+    if not isinstance(t, Tracer):
+        times = np.asarray(t)
+        if not np.isfinite(times).all():
+            raise UserError(f"vondrak: time number {int(np.flatnonzero(~np.isfinite(times))[0])} is not finite")
+        if (np.diff(times) <= 0).any():
+            at = int(np.flatnonzero(np.diff(times) <= 0)[0])
+            raise UserError(
+                f"vondrak: times must increase, but number {at + 1} ({times[at + 1]:g} s) follows {times[at]:g} s: "
+                "sort the record, merge samples of one time"
+            )
+    if isinstance(p, Tracer) or isinstance(y, Tracer):
+        return
+    weights, data = np.asarray(p), np.asarray(y).reshape(len(p), -1)
+    if not np.isfinite(weights).all() or (weights < 0).any():
+        at = int(np.flatnonzero(~(np.isfinite(weights) & (weights >= 0)))[0])
+        raise UserError(f"vondrak: weight number {at} is {weights[at]}: weights are finite and not negative")
+    if np.isinf(data).any():
+        raise UserError(f"vondrak: sample number {int(np.flatnonzero(np.isinf(data).any(axis=1))[0])} is infinite")
+    known = int(((weights > 0) & np.isfinite(data).all(axis=1)).sum())
+    if known < 3:
+        raise UserError(f"vondrak: only {known} samples have a weight: a quadratic needs at least three")

@@ -1,0 +1,23 @@
+"""Fine alignment of a standing vehicle: error-state Kalman filter about a strapdown mechanisation."""
+
+from jaxalign.fine.consistency import chi_square_band, nees, nis
+from jaxalign.fine.error_filter import ErrorFilter, FilterRow, FilterState
+from jaxalign.fine.error_model import ACCEL, GYRO, POSITION, PSI, STATES, VELOCITY, transition
+from jaxalign.fine.method import Fine
+
+__all__ = [
+    "ACCEL",
+    "GYRO",
+    "POSITION",
+    "PSI",
+    "STATES",
+    "VELOCITY",
+    "ErrorFilter",
+    "FilterRow",
+    "FilterState",
+    "Fine",
+    "chi_square_band",
+    "nees",
+    "nis",
+    "transition",
+]

@@ -1,0 +1,72 @@
+"""A standing vehicle in inertial space: what its gyros and accelerometers have summed up by each epoch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxalign.earth import earth_rate
+from jaxalign.epochs import Epochs
+from jaxalign.spread import Spread
+from jaxalign.vector import Quat, Vec3, mean_rotated
+
+__all__ = ["InertialRecord"]
+
+
+class InertialRecord(eqx.Module):
+    """Everything per epoch that whole-record methods choose from; leaves of shape (M+1,).
+
+    Attributes:
+        time: s.
+        q_b0b: from the gyros.
+        q_n0n: the Earth's.
+        alpha: -int C_n0n g dt, m/s.
+        beta: int C_b0b f dt, m/s.
+        turned: sum of the rotation vectors of the intervals, in b, rad.
+        force: sum of the velocity increments, in b, m/s.
+    """
+
+    time: Float[Array, " epochs"]
+    q_b0b: Quat
+    q_n0n: Quat
+    alpha: Vec3
+    beta: Vec3
+    turned: Vec3
+    force: Vec3
+
+    @classmethod
+    def of(cls, epochs: Epochs) -> InertialRecord:
+        """From the epochs of a standing vehicle."""
+        rows, site = epochs.rows, epochs.site
+
+        def attitude(q, rotation):
+            q = (q * rotation).renormalised()
+            return q, q
+
+        def running(v: Vec3) -> Vec3:
+            return jax.tree.map(jnp.cumsum, v)
+
+        q_b0b = jax.lax.scan(attitude, Quat.identity(), rows.rotation)[1]
+        before = jax.tree.map(lambda one, q: jnp.concatenate([one[None], q[:-1]]), Quat.identity(), q_b0b)
+        time = jnp.cumsum(rows.dt)
+        angle = earth_rate(site.lat) * time
+        up = mean_rotated(angle, Vec3(0.0 * time, 0.0 * time, site.gravity * time))
+        beta = running(before.rotate(rows.dvel))
+        turned = rows.rotation.log()
+        # An interval's dvel stands in b at its start; half the rotation back makes it the mean over the interval.
+        force = Quat.exp(turned * -0.5).rotate(rows.dvel)
+        return cls(time, q_b0b, Quat.exp(angle), up, beta, running(turned), running(force))
+
+    def at(self, index: Any) -> InertialRecord:
+        """Some epochs of it."""
+        return jax.tree.map(lambda x: x[index], self)
+
+    def observable(self, aid_sd: Any) -> Bool[Array, " epochs"]:
+        """Whether gravity has turned beyond the noise of the force, per epoch (:class:`jaxalign.spread.Spread`)."""
+        steps = jax.tree.map(lambda x: jnp.diff(x, prepend=x[:1]), self.alpha)
+        return Spread.of(steps, np.arange(len(self.time)) > 0).cumulated().observable(aid_sd, steps=True)

@@ -1,0 +1,297 @@
+"""Fine alignment: frozen cases, closure, consistency over matched runs, online = offline, derivatives, bad input."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from frozen import case, gravity_of_the_cases, parameters_of
+
+from jaxalign import ErrorFilter, Fine, Quat, Site, UserError, Vec3, align, epochs_from_arrays, with_parameters
+from jaxalign.earth import STANDARD_GRAVITY, normal_gravity
+from jaxalign.fine import ACCEL, GYRO, PSI, chi_square_band, nees, nis
+from jaxalign.methods import build
+from jaxalign.metrics import attitude_error_deg
+from jaxalign.prefilter import Vondrak
+from jaxalign.rotation import attitude_error, quat_from_dcm
+from jaxalign.simulate import imu_increments, scenario, simulate, truth
+
+UG = STANDARD_GRAVITY * 1e-6
+DEG_H = np.pi / 180 / 3600
+CASES = ("disturbed_align_c2_10mg", "disturbed_align_real_60s")
+
+
+def filter_of(parameters) -> ErrorFilter:
+    """The frozen parameters, in the units of people."""
+
+    def root(key, i):
+        return float(np.sqrt(parameters[key][i]))
+
+    assert parameters["P0diag"][6] == parameters["P0diag"][7]
+    return ErrorFilter(
+        velocity_sd=root("R", 0),
+        initial_position_sd=root("P0diag", 0),
+        initial_velocity_sd=root("P0diag", 3),
+        initial_tilt_sd_deg=np.rad2deg(root("P0diag", 6)),
+        initial_heading_sd_deg=np.rad2deg(root("P0diag", 8)),
+        accel_bias_ug=root("P0diag", 9) / UG,
+        gyro_bias_deg_h=root("P0diag", 12) / DEG_H,
+        accel_noise_ug_sqrt_hz=root("qd", 3) / UG,
+        gyro_walk_deg_sqrt_h=np.rad2deg(root("qd", 6)) * 60,
+    )
+
+
+def epochs_of(arrays, log, filtered, every=None):
+    site = Site(log.lat, log.lon, log.h, gravity_of_the_cases(log.lat, log.h) - float(normal_gravity(log.lat, log.h)))
+    return epochs_from_arrays(
+        log.dtheta,
+        log.dvel,
+        None,
+        dt=log.dt,
+        every=every or log.aid_every,
+        site=site,
+        aid="static",
+        prefilter=Vondrak(frame="body") if filtered else None,
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("force", ["none", "vondrak"])
+def test_frozen(shared, name, force):
+    """From the same start. The columns of the frozen biases are accelerometer then gyro (the README says otherwise)."""
+    arrays, log = case(shared, name)
+    parameters = parameters_of(arrays, f"fine_{force}")
+    assert parameters["state"].startswith("dr dv psi ba bg")
+    start = Quat.of(quat_from_dcm(arrays[f"est_fine_{force}"][0]))
+    method = Fine(filter=filter_of(parameters))
+    rows = eqx.filter_jit(method.refine)(epochs_of(arrays, log, force == "vondrak"), start)
+    expected = quat_from_dcm(arrays[f"est_fine_{force}"])
+    assert np.abs(np.rad2deg(attitude_error(rows.q_nb.array, expected))).max() < 1e-3
+    biases = np.concatenate([rows.accel_bias.array, rows.gyro_bias.array], axis=1)[1:]
+    prior = np.sqrt(np.asarray(parameters["P0diag"])[9:])
+    assert (np.abs(biases - arrays[f"bias_fine_{force}"]) / prior).max() < 1e-3
+    variances = np.diagonal(rows.covariance, axis1=1, axis2=2)[1:]
+    np.testing.assert_allclose(variances, arrays[f"Pdiag_fine_{force}"], rtol=1e-3)
+    np.testing.assert_allclose(rows.innovation[1:], arrays[f"innov_fine_{force}"], atol=2e-5)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_frozen_filtered_force(shared, name):
+    arrays, log = case(shared, name)
+    found = jax.jit(Vondrak().__call__, static_argnums=1)(jnp.asarray(log.dvel), log.dt)[::50] / log.dt
+    np.testing.assert_allclose(found, arrays["f_vondrak_0p5_every50"], atol=1e-10)
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("force", ["none", "vondrak"])
+@pytest.mark.parametrize("coarse", ["triad", "ifba", "ifbahann"])
+def test_frozen_coarse(shared, name, force, coarse):
+    """At the last epoch. Theirs work on samples; on epochs of 0.1 s vibration leaks through the stepped Hann window."""
+    arrays, log = case(shared, name)
+    method = {
+        "triad": build("triad"),
+        "ifba": build("dual_vector", parameters={"vectors": "boxcar"}),
+        "ifbahann": build("dual_vector"),
+    }[coarse]
+    epochs = epochs_of(arrays, log, force == "vondrak", 1 if coarse == "ifbahann" else log.aid_every)
+    found = method.solve(epochs, len(epochs) - 1)
+    expected = quat_from_dcm(arrays[f"est_{coarse}_{force}"][-1])
+    error = np.abs(np.rad2deg(attitude_error(found.q_nb[-1], expected)))
+    assert error.max() < 1e-3
+
+
+def test_noise_free_closure():
+    """Perfect sensors, 30 deg of heading, a coarse attitude that is off: the filter comes back to the truth."""
+    log = simulate("disturbed", seed=0, noise=False, condition=1, duration=300.0)
+    found = align(build("fine"), log, every=100)
+    error = attitude_error_deg(found, log)
+    assert np.abs(error[1:, :2]).max() < 1e-7
+    assert np.abs(error[1:, 2]).max() < 1e-5
+    assert np.abs(found.filter.gyro_bias).max() < 1e-6 * DEG_H + 1e-12
+    assert np.abs(found.filter.accel_bias).max() < 1e-3 * UG
+
+    epochs = build("fine").epochs(log)
+    wrong = Quat.exp(Vec3.of(jnp.deg2rad(jnp.array([0.05, -0.05, 1.0])))) * Quat.of(quat_from_dcm(log.C_nb[0]))
+    sure = with_parameters(
+        Fine(),
+        {"filter.accel_bias_ug": 1e-3, "filter.gyro_bias_deg_h": 1e-6, "filter.gyro_walk_deg_sqrt_h": 1e-6}
+        | {"filter.accel_noise_ug_sqrt_hz": 1e-3, "filter.velocity_sd": 1e-5, "filter.initial_velocity_sd": 1e-6},
+    )
+    back = eqx.filter_jit(sure.refine)(epochs, wrong)
+    left = np.rad2deg(attitude_error(back.q_nb.array[-1], quat_from_dcm(log.C_nb[-1])))
+    assert np.abs(left[:2]).max() < 1e-6
+    assert abs(left[2]) < 1e-3  # what is second order in one degree
+
+
+def matched(runs: int, duration: float, rate: int = 20):
+    """Initial attitudes and biases drawn from P0, sensors with the filter's noise, measured zero velocities."""
+    filter_ = with_parameters(
+        ErrorFilter(), {"initial_tilt_sd_deg": 0.05, "initial_heading_sd_deg": 1.0, "accel_noise_ug_sqrt_hz": 20.0}
+    )
+    made = scenario("disturbed", condition=1, duration=duration, noise_per="density", bias="gaussian")
+    accel = eqx.tree_at(lambda e: (e.bias, e.density), made.accel, (jnp.full(3, 50 * UG), jnp.asarray(20 * UG)))
+    made = dataclasses.replace(made, accel=accel, aid_every=rate)
+    exact = truth(made)
+    p0, qr = filter_.initial_covariance, float(filter_.velocity_sd)
+
+    def run(key):
+        imu, other = jax.random.split(key)
+        dtheta, dvel = imu_increments(exact, made, imu)
+        keys = [jax.random.fold_in(imu, i) for i in (0, 1)]  # of gyroscopes and accelerometers
+        gyro, accel = (e.draw_bias(jax.random.split(k)[0]) for e, k in zip((made.gyro, made.accel), keys, strict=True))
+        epochs = epochs_from_arrays(dtheta, dvel, None, dt=1 / made.imu_rate, every=rate, site=made.site, aid="static")
+        first, second, third = jax.random.split(other, 3)
+        noise = qr * jax.random.normal(first, (made.epochs + 1, 3))
+        epochs = eqx.tree_at(lambda e: e.rows.velocity, epochs, Vec3.of(noise))
+        sd = jnp.sqrt(jnp.diag(p0))
+        psi = sd[PSI] * jax.random.normal(second, (3,))
+        state = filter_.init(made.site, Quat.exp(Vec3.of(-psi)) * Quat.of(quat_from_dcm(exact.C_nb[0])))
+        moving = Vec3.of(sd[3:6] * jax.random.normal(third, (3,)))
+        state = eqx.tree_at(lambda s: s.nav.velocity, state, moving)
+        rows = jax.lax.scan(lambda s, e: filter_.step(s, e), state, epochs.rows)[1]
+        last = jax.tree.map(lambda x: x[-1], rows)
+        error = jnp.concatenate(
+            [
+                attitude_error(last.q_nb.array, quat_from_dcm(exact.C_nb[-1])),
+                accel - last.accel_bias.array,  # errors of the sensors that are left
+                gyro - last.gyro_bias.array,
+            ]
+        )
+        squares = nis(rows.innovation[1:], rows.innovation_covariance[1:])
+        return error, last.covariance[6:, 6:], squares
+
+    return jax.jit(jax.vmap(run))(jax.vmap(lambda i: jax.random.fold_in(jax.random.key(7), i))(jnp.arange(runs)))
+
+
+@pytest.mark.slow
+def test_consistency_over_matched_runs():
+    """NEES over attitude and biases, and each block by itself, within the 95 % band of 100 runs; NIS within its."""
+    runs = 100
+    error, covariance, squares = (np.asarray(x) for x in matched(runs, 300.0))
+    low, high = chi_square_band(9, runs)
+    assert low < nees(error, covariance).mean() < high
+    for block in (PSI, ACCEL, GYRO):
+        part = slice(block.start - 6, block.stop - 6)
+        low, high = chi_square_band(3, runs, 0.99)  # three of them
+        assert low < nees(error[:, part], covariance[:, part, part]).mean() < high
+    low, high = chi_square_band(3, squares.size)
+    assert low < squares.mean() < high
+
+
+def test_band_and_squares_against_closed_forms():
+    low, high = chi_square_band(3, 100)
+    assert low < 3 < high
+    np.testing.assert_allclose([low, high], [2.54, 3.50], atol=0.01)  # Bar-Shalom: 3 +- 1.96 sqrt(2 * 3 / 100)
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(4, 4)) * np.array([1e-7, 1.0, 1e3, 1e-4])[:, None]
+    x = root @ rng.normal(size=(4, 200000))
+    mean = float(nees(x.T, np.broadcast_to(root @ root.T, (200000, 4, 4))).mean())
+    assert mean == pytest.approx(4.0, abs=5 * np.sqrt(8 / 200000))
+    with pytest.raises(UserError, match="probability"):
+        chi_square_band(3, 100, 1.5)
+
+
+def short(**options):
+    return simulate("disturbed", seed=2, condition=2, amplitude_mg=10.0, duration=20.0, **options)
+
+
+def test_online_equals_offline():
+    log = short()
+    method = build("fine")
+    epochs = method.epochs(log)
+    start = Quat.of(quat_from_dcm(log.C_nb[0]))
+    whole = eqx.filter_jit(method.refine)(epochs, start)
+    state, step = method.filter.init(epochs.site, start), eqx.filter_jit(method.filter.step)
+    for k in range(30):
+        state, row = step(state, jax.tree.map(lambda x, k=k: x[k], epochs.rows))
+        np.testing.assert_allclose(row.q_nb.array, whole.q_nb.array[k], atol=1e-13)
+        np.testing.assert_allclose(row.covariance, whole.covariance[k], rtol=1e-9, atol=1e-20)
+
+
+def test_an_epoch_without_measurement_is_bridged():
+    log = short()
+    method = build("fine")
+    epochs = method.epochs(log)
+    gone = eqx.tree_at(lambda e: e.rows.valid, epochs, epochs.rows.valid.at[50:80].set(False))
+    rows = eqx.filter_jit(method.refine)(gone, Quat.of(quat_from_dcm(log.C_nb[0])))
+    updated = np.asarray(rows.updated)
+    assert not updated[0]
+    assert not updated[50:80].any()
+    assert updated[80:].all()
+    assert (np.asarray(rows.innovation)[50:80] == 0).all()
+    sd = np.sqrt(np.diagonal(rows.covariance, axis1=1, axis2=2))
+    assert sd[79, 3] > sd[49, 3] * 1.2
+    assert sd[120, 3] < sd[79, 3]
+    assert np.isfinite(rows.covariance).all()
+
+
+def test_zero_position_holds_the_position():
+    """The slow swing of a velocity that is only known to be zero on average goes; the attitude agrees."""
+    log = simulate("disturbed", seed=4, condition=2, amplitude_mg=10.0, duration=120.0)
+    found = {name: align(build("fine", parameters={"filter.updates": name}), log) for name in ("velocity", "position")}
+    assert found["position"].filter.innovation.shape[1] == 6
+    difference = np.rad2deg(attitude_error(found["position"].q_nb[-1], found["velocity"].q_nb[-1]))
+    assert np.abs(difference[:2]).max() < 0.002
+    assert abs(difference[2]) < 0.15
+    assert found["position"].sd[-1, 2] <= found["velocity"].sd[-1, 2]
+    state = np.sqrt(np.diagonal(found["position"].filter.covariance[-1]))
+    assert (state[:3] < 0.005).all()
+    assert np.abs(found["position"].filter.innovation[100:, 3:]).max() < 0.01
+
+
+@pytest.mark.slow
+def test_gradients():
+    """Forward = reverse = differences: velocity noise, bias prior and the cut-off of the filter in front."""
+    log = short()
+    reference = quat_from_dcm(log.C_nb[-1])
+    fixed = {"dt": log.dt, "every": 200, "site": Site(log.lat, log.lon, log.h), "aid": "static"}
+
+    def loss(s):
+        method = with_parameters(
+            build("fine", prefilter="vondrak"),
+            {
+                "filter.velocity_sd": 0.01 * jnp.exp(s[0]),
+                "filter.gyro_bias_deg_h": 0.1 * jnp.exp(s[1]),
+                "prefilter.cutoff": 0.5 * jnp.exp(s[2]),
+            },
+        )
+        epochs = epochs_from_arrays(log.dtheta, log.dvel, None, prefilter=method.prefilter, **fixed)
+        found = method.solve(epochs, 1)
+        error = attitude_error(found.q_nb[-1], reference)
+        return jnp.rad2deg(error[2]) + 0.1 * jnp.log(found.filter.covariance[-1, 8, 8])
+
+    at = jnp.zeros(3)
+    value = jax.jit(loss)
+    forward, reverse = jax.jit(jax.jacfwd(loss))(at), jax.jit(jax.grad(loss))(at)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-7)
+    for h in (1e-3, 1e-4):
+        numeric = [(value(at.at[i].add(h)) - value(at.at[i].add(-h))) / (2 * h) for i in range(3)]
+        np.testing.assert_allclose(forward, numeric, rtol=2e-5, atol=1e-7)
+    assert (np.abs(forward) > 1e-4).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Fine(coarse=build("oba", "body")), "standing vehicle"),
+        (lambda: build("fine", parameters={"coarse.interval_samples": 5}), "takes the epochs of the fine"),
+        (lambda: Fine(coarse=build("dual_vector", prefilter="fir")), "takes the epochs of the fine"),
+        (lambda: build("fine", parameters={"filter.updates": "speed"}), "updates"),
+        (lambda: build("fine", parameters={"filter.velocity_sd": 0}), "outside its bounds"),
+    ],
+)
+def test_refused(make, words):
+    with pytest.raises(UserError, match=words):
+        make()
+
+
+@pytest.mark.slow
+def test_any_coarse_method_starts_it():
+    log = simulate("disturbed", seed=4, condition=2, duration=60.0)
+    ends = [
+        align(Fine(coarse=build(name)), log, every=600).euler_deg[-1] for name in ("dual_vector", "gravity_q", "triad")
+    ]
+    np.testing.assert_allclose(ends[0], ends[1], atol=5e-3)
+    np.testing.assert_allclose(ends[0], ends[2], atol=5e-3)
