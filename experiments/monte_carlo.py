@@ -6,7 +6,8 @@ the aid's faults: differences between methods and between conditions are paired.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.progress import Progress
-from jaxalign import Epochs, UserError, epochs_from_arrays, estimate_aid_sd
+from jaxalign import Epochs, UserError, epochs_from_arrays, estimate_aid_sd, parameters
+from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.rotation import attitude_error, euler_from_quat, quat_from_dcm
 from jaxalign.simulate import Scenario, Truth, measure, truth
 
@@ -43,8 +45,10 @@ def run_keys(seed: int, runs: int | np.ndarray) -> jax.Array:
 
 
 @eqx.filter_jit
-def _epochs(exact: Truth, made: Scenario, keys: jax.Array, aid: str, samples: int) -> Epochs:
-    """Measure and preintegrate: epochs of all the runs, of so many samples each."""
+def _epochs(
+    exact: Truth, made: Scenario, keys: jax.Array, aid: str, samples: int, prefilter: AbstractPrefilter | None = None
+) -> Epochs:
+    """Measure, filter and preintegrate: epochs of all the runs, of so many samples each."""
 
     def run(key):
         dtheta, dvel, velocity = measure(exact, made, key)
@@ -64,6 +68,7 @@ def _epochs(exact: Truth, made: Scenario, keys: jax.Array, aid: str, samples: in
             site=made.site,
             aid=aid,  # pyright: ignore[reportArgumentType]
             aid_sd=made.aid_sd,  # pyright: ignore[reportArgumentType]
+            prefilter=prefilter,
         )
 
     return jax.vmap(run)(keys)
@@ -105,10 +110,10 @@ def _multiples(time: np.ndarray, spacing: float) -> np.ndarray:
     return (np.abs(steps - np.round(steps)) < 1e-6) | (spacing == 0)
 
 
-def _with_noise(epochs: Epochs, sd: dict[Any, float], key: Any) -> Epochs:
-    """A standing vehicle's noise, estimated from the first run, as :func:`jaxalign.align` does for a log."""
+def _with_noise(epochs: Epochs, sd: dict[Any, float], key: Any, raw: Callable[[], Epochs]) -> Epochs:
+    """A standing vehicle's noise, estimated from the first run as measured, as :func:`jaxalign.align` does."""
     if key not in sd:
-        sd[key] = estimate_aid_sd(jax.tree.map(lambda x: x[0], epochs))
+        sd[key] = estimate_aid_sd(jax.tree.map(lambda x: x[0], raw()))
     return eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.full_like(epochs.aid_sd, sd[key]))
 
 
@@ -150,10 +155,14 @@ def monte_carlo(
         for some in keys:
             measured: dict[Any, Epochs] = {}
             for label, method in methods.items():
-                key = aid, samples = method.aid, _samples(method, made)
+                aid, samples, prefilter = method.aid, _samples(method, made), method.prefilter
+                key = aid, samples, repr(prefilter and (type(prefilter).__name__, parameters(prefilter)))
                 if key not in measured:
-                    epochs = _epochs(exact, made, some, aid, samples)
-                    measured[key] = _with_noise(epochs, sd, key) if aid == "static" else epochs
+                    epochs = _epochs(exact, made, some, aid, samples, prefilter)
+                    if aid == "static":
+                        raw = partial(_epochs, exact, made, some[:1], aid, samples)
+                        epochs = _with_noise(epochs, sd, (aid, samples), raw)
+                    measured[key] = epochs
                 stride = every if isinstance(every, int) else every[label]
                 rows, places = _rows(made, samples, stride)
                 errors = _errors(method, measured[key], stride, rows, reference[places])

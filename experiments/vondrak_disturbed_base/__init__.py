@@ -1,0 +1,1 @@
+"""Alignment on a disturbed base with Vondrak's filter, run again."""

@@ -1,0 +1,93 @@
+"""The four schemes of the paper, its two grades of sensors, and the start of its fine alignment."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxalign import DualVector, Epochs, Fine, Quat, Vec3
+from jaxalign.earth import EARTH_RATE, STANDARD_GRAVITY
+from jaxalign.inertial import InertialRecord
+from jaxalign.methods import build
+from jaxalign.parameters import with_parameters
+from jaxalign.prefilter import AbstractPrefilter, Fir, Vondrak, Wavelet
+from jaxalign.record_method import AbstractRecordMethod, Found
+from jaxalign.simulate import Scenario
+
+__all__ = ["GRADES", "SCHEMES", "Turned", "behind", "fine_of", "floor_deg", "grade_of"]
+
+SCHEMES: dict[str, AbstractPrefilter | None] = {
+    "1: Vondrak": Vondrak(),
+    "2: no filter": None,
+    "3: FIR": Fir(),
+    "4: wavelet": Wavelet(),
+}
+"""All at 0.5 Hz."""
+GRADES: dict[str, dict[str, float]] = {
+    "tactical": {"accel_bias_ug": 50, "gyro_bias_deg_h": 0.1, "accel_noise_ug_sqrt_hz": 50, "gyro_walk": 0.05},
+    "navigation": {"accel_bias_ug": 10, "gyro_bias_deg_h": 0.02, "accel_noise_ug_sqrt_hz": 10, "gyro_walk": 0.01},
+}
+"""Tables 3 and 4; the walk in deg/h/sqrt(Hz)."""
+
+
+def grade_of(condition: int) -> str:
+    """Of a condition of Table 2."""
+    return "tactical" if condition <= 2 else "navigation"
+
+
+class Turned(AbstractRecordMethod):
+    """A coarse alignment whose heading is off by a stated angle more: what the fine alignment has to remove.
+
+    Attributes:
+        method: the coarse alignment.
+        deg: turn about up, deg.
+    """
+
+    method: AbstractRecordMethod = eqx.field(default_factory=DualVector)
+    deg: Any = 2.0
+    interval_samples: int | None = None
+    prefilter: AbstractPrefilter | None = None
+
+    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
+        """The coarse attitude, turned."""
+        found = self.method.find(epochs, record, rows)
+        turn = Quat.exp(Vec3(0.0, 0.0, jnp.deg2rad(self.deg)))
+        q_nb = jax.tree.map(lambda x: x * jnp.ones(len(rows)), turn) * found.q_nb
+        return dataclasses.replace(found, q_nb=q_nb)
+
+
+def fine_of(grade: str, velocity_sd: float, turned: float = 2.0) -> Fine:
+    """The paper's fine alignment for a grade of sensors: 0.05 deg of tilt and 3 deg of heading to begin with."""
+    numbers = dict(GRADES[grade])
+    numbers["gyro_walk_deg_sqrt_h"] = numbers.pop("gyro_walk") / 60
+    start = build("dual_vector")
+    method = Fine(coarse=Turned(method=start, deg=turned) if turned else start)
+    settings = {**numbers, "velocity_sd": velocity_sd, "initial_tilt_sd_deg": 0.05}
+    return with_parameters(method, {f"filter.{name}": value for name, value in settings.items()})
+
+
+def behind(prefilter: AbstractPrefilter | None, method: Any) -> Any:
+    """The method with a filter in front."""
+    return dataclasses.replace(method, prefilter=prefilter)
+
+
+def floor_deg(made: Scenario, keys: jax.Array) -> np.ndarray:
+    """(runs,) heading error (phi_U, deg) that the drawn biases leave to every method at rest.
+
+    ``tan(lat) nabla_E / g - eps_E / (w_ie cos(lat))``.
+    """
+
+    def biases(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        gyro, accel = (jax.random.split(jax.random.fold_in(key, i))[0] for i in (0, 1))
+        return made.gyro.draw_bias(gyro), made.accel.draw_bias(accel)
+
+    gyro, accel = jax.vmap(biases)(keys)
+    east = made.trajectory.attitude(jnp.zeros(())).matrix.array[0]
+    lat = made.site.lat
+    phi = jnp.tan(lat) * (accel @ east) / STANDARD_GRAVITY - (gyro @ east) / (EARTH_RATE * jnp.cos(lat))
+    return np.asarray(jnp.rad2deg(phi))
