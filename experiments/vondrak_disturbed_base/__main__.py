@@ -107,12 +107,13 @@ def study(runs: int, seed: int) -> Page:
     labels = (*SCHEMES, "perfect attitude")
     page.add(
         f"## Half an hour of driving after {ALIGNED:g} s of alignment (Table 5), {max(2, runs // 10)} runs",
-        "Medians over the runs of horizontal position errors; fine alignment at 1 mm/s; only the attitude is handed on; "
-        "the paper's scale factors (Tables 3 and 4), the biases of the alignment, a way of ours.",
+        "Medians over the runs of horizontal position errors; fine alignment at 1 mm/s; only the attitude is handed "
+        "on; the paper's scale factors (Tables 3 and 4), the biases of the alignment, a way of "
+        "ours. The paper prints one set of numbers, in nm in the table and in m in the text.",
         tables.drive_table(driven, labels),
         "## A real vehicle: the laser-gyro log",
         "Heading at the end of each segment less a reference (the fine alignment of the whole 923 s, taken back by the "
-        "gyros): RMS (median), deg. The reference is good to some 0.005 deg; an error common to all is not seen.",
+        "gyros). The reference is good to some 0.005 deg; an error common to all is not seen.",
         tables.real_table(segments) if segments else "(the log is not here: set JAXALIGN_SHARED to its folder)",
     )
     return page

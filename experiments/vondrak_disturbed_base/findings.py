@@ -45,11 +45,11 @@ def _smoothing(chosen: Any) -> str:
 - The smoothing factor needs no search: theta = (2 pi 0.5 Hz)^6. (27) as printed grows without bound as everything is
   smoothed away: the genetic algorithm stops after {_span([ga.evaluations for ga, _ in printed])} evaluations at
   {_span([ga.cutoff for ga, _ in printed])} Hz, with values of {_span([ga.value for ga, _ in printed])} for a function
-  that should tend to one. Turned so that it does tend to one, it chooses {_span([ga.cutoff for ga, _ in b])} Hz (genetic
-  algorithm) and lets the disturbance at 1 Hz pass; whether 0.995 is reached is luck
-  ({_span([ga.evaluations for ga, _ in b])} evaluations). The power J of lost signal and left disturbance has one minimum
-  in all conditions: {_span([ga.cutoff for ga, _ in j])} Hz by the genetic algorithm ({_span(counts)} evaluations),
-  {_span([x.cutoff for _, found in j for x in found.values()])} Hz by gradient from 0.015, 0.5 and 50 Hz
+  that should tend to one. Turned so that it does tend to one, it chooses {_span([ga.cutoff for ga, _ in b])} Hz
+  (genetic algorithm) and lets the disturbance at 1 Hz pass; whether 0.995 is reached is luck
+  ({_span([ga.evaluations for ga, _ in b])} evaluations). The power J of lost signal and left disturbance has one
+  minimum in all conditions: {_span([ga.cutoff for ga, _ in j])} Hz by the genetic algorithm ({_span(counts)}
+  evaluations), {_span([x.cutoff for _, found in j for x in found.values()])} Hz by gradient from 0.015, 0.5 and 50 Hz
   ({_span([x.evaluations for _, found in j for x in found.values()])} evaluations, no filtering in the loop)."""
 
 
@@ -72,10 +72,10 @@ def _real(segments: Any) -> str:
         return f"{size(TWO, method)} without, {size(ONE, method)} with the filter"
 
     return f"""
-- On the real vehicle, segments of {length:g} s, deg RMS: two vectors with boxcars {pair("2 vectors, T/3")}; Hann windows
-  {pair("2 vectors, Hann T/3")} (samples) or {pair("the same, epochs of 0.1 s")} (epochs of 0.1 s: vibration leaks
-  through a window in steps; a filter or epochs of one sample mend it); fine alignment at 1 cm/s {pair(RIGHT)}, at 1 mm/s
-  {pair(WRONG)}. TRIAD ({size(TWO, "TRIAD")} deg) is of no use there: the vehicle turns."""
+- On the real vehicle, segments of {length:g} s, deg RMS: two vectors with boxcars {pair("2 vectors, T/3")}; Hann
+  windows {pair("2 vectors, Hann T/3")} (samples) or {pair("the same, epochs of 0.1 s")} (epochs of 0.1 s: vibration
+  leaks through a window in steps; a filter or epochs of one sample mend it); fine alignment at 1 cm/s {pair(RIGHT)},
+  at 1 mm/s {pair(WRONG)}. TRIAD ({size(TWO, "TRIAD")} deg) is of no use there: the vehicle turns."""
 
 
 def findings(many: Any, swept: Any, pairs: Any, chosen: Any, driven: Any, segments: Any) -> str:
@@ -89,23 +89,23 @@ def findings(many: Any, swept: Any, pairs: Any, chosen: Any, driven: Any, segmen
 
     settled = [settling(tactical[scheme][RIGHT]) for scheme in (TWO, ONE)]
     return f"""\
-- "2-3 times more accurate" does not reproduce. With the disturbance as printed, Vondrak's filter changes the RMS heading
-  error of the fine alignment by at most {_worst_change(many, WRONG):.2g} % (1 mm/s; any of the filters: at most
+- "2-3 times more accurate" does not reproduce. With the disturbance as printed, Vondrak's filter changes the RMS
+  heading error of the fine alignment by at most {_worst_change(many, WRONG):.2g} % (1 mm/s; any of the filters: at most
   {_worst_change(many, WRONG, SCHEMES):.2g} %), with or without a disturbance. The error is what the gyro bias leaves
   (condition 2: {rms(many[2][1][:, None])} deg from the biases alone).
 - Coarse alignment by averages cannot gain at all: the filter preserves the sums of f, t f and t^2 f exactly. TRIAD with
   and without it: at most {same:.1g} deg apart.
 - The gain is real where the disturbance is large and the filter is told that it is small. 10 mg, tactical, 1 mm/s:
-  {_both(tactical, WRONG)} (deg); navigation grade: {_both(navigation, WRONG)}. With 1 cm/s, which is what 10 mg shake the
-  velocity by, there is none: {_both(tactical, RIGHT)}; {_both(navigation, RIGHT)}.
+  {_both(tactical, WRONG)} (deg); navigation grade: {_both(navigation, WRONG)}. With 1 cm/s, which is what 10 mg shake
+  the velocity by, there is none: {_both(tactical, RIGHT)}; {_both(navigation, RIGHT)}.
 - Nor does it converge sooner then: the heading stays within 0.05 deg of its end from {settled[0]:.0f} s on without and
   from {settled[1]:.0f} s on with the filter (medians, condition 2, 10 mg, 1 cm/s).
 - Two vectors in inertial space are the other case: with boxcars over {long:g} s,
-  {_both(pairs[long], "boxcar T/3")}; over {short:g} s, {_both(pairs[short], "boxcar T/3")} (the ends of a filtered record
-  are hardly filtered). Hann windows on the raw force do better than any filter: {hann(long)} and {hann(short)}.
+  {_both(pairs[long], "boxcar T/3")}; over {short:g} s, {_both(pairs[short], "boxcar T/3")} (the ends of a filtered
+  record are hardly filtered). Hann windows on the raw force do better than any filter: {hann(long)} and {hann(short)}.
 {_smoothing(chosen)}
 - Half an hour of driving after it: position error with Vondrak's filter over that without, median over the runs:
   {_driven(driven)}. The paper has 0.845 (tactical) and 0.63 (navigation). Its positions of 12 and 1 m ("nm" in the
-  table) after half an hour without aid are below what the gyro biases alone make of a perfect attitude here (last row of
-  that table). An attitude found with the gyros' biases in it partly compensates them: the error can be smaller than with
-  a perfect attitude.{_real(segments)}"""
+  table) after half an hour without aid are below what the gyro biases alone make of a perfect attitude here (last
+  row of that table). An attitude found with the gyros' biases in it partly compensates them: the error can be smaller
+  than with a perfect attitude.{_real(segments)}"""

@@ -59,42 +59,37 @@ def two_vector_table(found: Mapping[float, Any]) -> Table:
 
 def smoothing_table(found: Mapping[tuple[int, str], tuple[Choice, dict[float, Choice]]]) -> Table:
     """Cut-offs found, values, evaluations."""
-    starts = next(iter(found.values()))[1]
-    heads = (f"gradient from {start:g} Hz: cut-off Hz (value, evaluations)" for start in starts)
-    table = Table("smoothing", ("condition", "objective", "GA: cut-off Hz (value, evaluations)", *heads))
+    table = Table("smoothing", ("condition", "objective", "search", "cut-off (Hz)", "value", "evaluations"))
     for (condition, objective), (ga, gradients) in found.items():
-        cells = [_choice(objective, x) for x in (ga, *gradients.values())]
-        table.add(f"condition {condition}", objective, *cells)
+        searches = {"genetic algorithm": ga} | {f"gradient from {x:g} Hz": of for x, of in gradients.items()}
+        for search, of in searches.items():
+            value = float(np.exp(-of.value)) if objective == "J" else of.value
+            table.add(f"condition {condition}", objective, search, of.cutoff, value, of.evaluations)
     return table
-
-
-def _choice(objective: str, found: Choice) -> str:
-    value = f"{np.exp(-found.value):.3g}" if objective == "J" else f"{found.value:.4g}"
-    return f"{found.cutoff:.3g} ({value}, {found.evaluations})"
 
 
 def drive_table(found: Mapping[tuple[str, str], tuple[np.ndarray, np.ndarray]], labels: tuple[str, ...]) -> Table:
     """Table 5's idea: medians over the runs of RMS and largest position error."""
-    heads = [f"{grade}, {case}: RMS m, largest m, RMS over scheme 2's" for grade, case in found]
-    printed = [f"paper, {grade}: RMS, largest (its unit: nm or m)" for grade in GRADES]
-    table = Table("drive", ("scheme", *printed, *heads))
-    for i, label in enumerate(labels):
-        cells = []
-        for j in range(len(GRADES)):
-            row = TABLE_5.get(i + 1)
-            cells.append(f"{row[j]:g}, {row[2 + j]:g}" if row else "")
-        for mean, most in found.values():
-            ratio = np.median(mean[i] / mean[1])
-            cells.append(f"{np.median(mean[i]):.0f}, {np.median(most[i]):.0f}, {ratio:.3f}")
-        table.add(label, *cells)
+    heads = ("RMS (m)", "largest (m)", "RMS over scheme 2's")
+    printed_heads = ("paper: RMS", "paper: largest", "paper: RMS over scheme 2's")
+    table = Table("drive", ("sensors", "disturbance", "scheme", *heads, *printed_heads))
+    for (grade, case), (mean, most) in found.items():
+        j = list(GRADES).index(grade)
+        for i, label in enumerate(labels):
+            printed: tuple[Any, ...] = ("", "", "")
+            if i + 1 in TABLE_5:
+                printed = TABLE_5[i + 1][j], TABLE_5[i + 1][2 + j], TABLE_5[i + 1][j] / TABLE_5[2][j]
+            ratio = float(np.median(mean[i] / mean[1]))
+            table.add(grade, case, label, float(np.median(mean[i])), float(np.median(most[i])), ratio, *printed)
     return table
 
 
 def real_table(found: Mapping[tuple[float, str, str], np.ndarray]) -> Table:
-    """RMS (median) of the differences from the reference."""
-    table = Table("laser gyro", ("segments", "scheme", *METHODS))
+    """RMS and median of the differences from the reference."""
+    table = Table("laser gyro", ("segments", "scheme", "deg", *METHODS))
     for length, scheme in dict.fromkeys((length, scheme) for length, scheme, _ in found):
         values = [found[length, scheme, method] for method in METHODS]
-        cells = [f"{np.sqrt(np.mean(v**2)):.2g} ({np.median(np.abs(v)):.2g})" for v in values]
-        table.add(f"{len(values[0])} of {length:g} s", scheme, *cells)
+        row = f"{len(values[0])} of {length:g} s", scheme
+        table.add(*row, "RMS", *(float(np.sqrt(np.mean(v**2))) for v in values))
+        table.add(*row, "median", *(float(np.median(np.abs(v))) for v in values))
     return table
