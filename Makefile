@@ -14,7 +14,7 @@ help:
 	@echo "make test-slow the tests marked slow;  make test-all  both"
 	@echo "make lint      ruff (check and format)        make types     pyright"
 	@echo "make bench     speed and memory into benchmarks/results.md"
-	@echo "make tables    the tables of experiments/, about 20 min (the last needs the logs: JAXALIGN_SHARED=folder)"
+	@echo "make tables    the tables of experiments/, about 40 min (the last two need the logs: JAXALIGN_SHARED=folder)"
 	@echo "make clean     remove what the above have made, but the environment"
 
 $(STAMP): pyproject.toml
@@ -50,6 +50,7 @@ tables: $(STAMP)
 	$(BIN)/python -m experiments.shen2025_moba_dvl
 	$(BIN)/python -m experiments.xu2017_quaternion_kf
 	$(BIN)/python -m experiments.huang_vo_tvk_gps
+	$(BIN)/python -m experiments.vondrak_disturbed_base
 	$(BIN)/python -m experiments.real_logs
 
 clean:

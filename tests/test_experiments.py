@@ -17,7 +17,13 @@ from jaxalign.methods import build
 from jaxalign.simulate import noiseless, scenario
 
 ROOT = Path(__file__).resolve().parents[1]
-EXPERIMENTS = ("xu2020_rkf_dvl", "shen2025_moba_dvl", "xu2017_quaternion_kf", "huang_vo_tvk_gps")
+EXPERIMENTS = (
+    "xu2020_rkf_dvl",
+    "shen2025_moba_dvl",
+    "xu2017_quaternion_kf",
+    "huang_vo_tvk_gps",
+    "vondrak_disturbed_base",
+)
 ERRORS = np.random.default_rng(1).normal(0.3, 2.0, (40, 25))
 
 
