@@ -13,7 +13,7 @@ help:
 	@echo "make test      set up, run the tests (not those marked slow)"
 	@echo "make test-slow the tests marked slow;  make test-all  both"
 	@echo "make lint      ruff (check and format)        make types     pyright"
-	@echo "make bench     speed and memory into benchmarks/results.md"
+	@echo "make bench     speed and memory into benchmarks/*.md"
 	@echo "make tables    the tables of experiments/, about 40 min (the last two need the logs: JAXALIGN_SHARED=folder)"
 	@echo "make clean     remove what the above have made, but the environment"
 
@@ -44,6 +44,7 @@ types: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.single
+	$(BIN)/python -m benchmarks.prefilter
 
 tables: $(STAMP)
 	$(BIN)/python -m experiments.xu2020_rkf_dvl

@@ -83,6 +83,8 @@ def _shade_unobservable(axes: Any, solution: Solution, time: np.ndarray) -> None
 def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
     """Pitch, roll, heading with the reference where there is one, errors, and residuals over time.
 
+    Where the method states standard deviations, the heading has a band of one of them, and the errors have them beside.
+
     Args:
         solution: of one log (no batch axes).
         log: that was aligned.
@@ -96,6 +98,7 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
     reference = reference_at(log, numbers["t"])
     error = attitude_error_deg(solution, log)
     figure, axes = _figure(4 if error is None else 6, 10 if error is None else 13.5)
+    sd = numbers.get("sd_deg")
     truth = None if reference is None else np.rad2deg(np.array(euler_from_dcm(reference)))
 
     shown = numbers["euler_deg"].copy()
@@ -110,6 +113,9 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
         axes[i].plot(time, _unbroken(lines[0]), label="estimate")
         if truth is not None:
             axes[i].plot(time, _unbroken(lines[1]), "--", color=_GREY, label="reference")
+        if name == "heading" and sd is not None:
+            band = np.stack([lines[0] - sd[:, 2], lines[0] + sd[:, 2]])
+            axes[i].fill_between(time, *band, alpha=0.2, linewidth=0, label="its own sd")
         axes[i].set_ylabel(f"{name} (deg)")
         _settled_limits(axes[i], lines, 0.5 if name == "heading" else 0.01)
     last = 3
@@ -120,6 +126,9 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
         _settled_limits(axes[3], [error[:, :2]], 0.002)
         axes[4].semilogy(time, np.maximum(np.abs(error[:, 2]), 1e-6), color="C3", label="|error|")
         axes[4].set_ylabel("heading error (deg)")
+        if sd is not None:
+            axes[4].semilogy(time, sd[:, 2], "--", color=_GREY, label="its own sd")
+            axes[3].plot(time, np.hypot(sd[:, 0], sd[:, 1]) / np.sqrt(2), "--", color=_GREY, label="its own sd")
         last = 5
     used = (numbers["weight"] > 0) & ((numbers["status"] & Status.UNDEFINED) == 0)
     size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
