@@ -386,3 +386,36 @@ def test_a_parameter_by_its_path(tmp_path, capsys):
     assert "THE FILTER IS SINGULAR" in said
     assert "NO ATTITUDE" in said
     assert "nan" not in said
+
+
+def test_fine_behind_a_prefilter(tmp_path, capsys):
+    parked, out = tmp_path / "parked.npz", tmp_path / "out.npz"
+    assert (
+        main(["simulate", "disturbed", "--set", "amplitude_mg=10", "--set", "duration=20", "--output", str(parked)])
+        == 0
+    )
+    align = ["align", str(parked), "--method", "fine", "--prefilter", "vondrak", "--set", "prefilter.cutoff=0.4"]
+    assert main([*align, "--every", "5", "--output", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "specific force behind Vondrak (frame inertial, cutoff 0.4)" in said
+    assert "the filter's own standard deviations: east" in said
+    assert "the standard deviations are not honest" in said
+    assert "biases (right, forward, up): gyros" in said
+    with np.load(out) as z:
+        recipe = json.loads(str(z["recipe"]))
+        assert (recipe["prefilter"], recipe["parameters"]["prefilter.cutoff"]) == ("vondrak", 0.4)
+        assert z["covariance"].shape == (41, 15, 15)
+        assert np.isnan(z["sd_deg"][0]).all()
+        assert (z["sd_deg"][1:] > 0).all()
+    for wrong, words in (
+        (["--prefilter", "vondark"], "no prefilter 'vondark': did you mean vondrak"),
+        (["--prefilter", "vondrak", "--set", "prefilter.cutof=1"], "did you mean prefilter.cutoff"),
+        (["--set", "prefilter.cutoff=1"], "no parameter 'prefilter.cutoff'"),
+        (["--prefilter", "wavelet"], "too short for 8 levels"),
+    ):
+        assert words in refused(capsys, ["align", parked, "--method", "fine", "--end", "5", *wrong])
+
+
+def test_a_prefilter_is_for_standing_vehicles(files, capsys):
+    said = refused(capsys, ["align", files / "good.npz", "--method", "oba", "--prefilter", "fir"])
+    assert "smooths the force of a standing vehicle" in said

@@ -17,7 +17,7 @@ moving = pytest.mark.parametrize(("name", "aid"), [row for row in ROWS if row[1]
 # What is known of single recipes; their docstrings say why.
 CLOSURE_DEG = {"rkf_oba": 0.05, "request": 0.1, "vo_tvk": 0.2, "rls_q": 0.03, "rls_quaternion_kf": 0.03}
 LOOKS_AT_RESIDUALS = ("roba",)
-SEEN_ELSEWHERE = ("velocity_q", "rls_q")
+SEEN_ELSEWHERE = ("velocity_q", "rls_q", "fine")  # or, like the last, costly
 FORGETS = ("request",)
 BOUND_TO_THE_AXES = ("rkf_oba", "vo_tvk")
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those

@@ -227,6 +227,7 @@ def test_an_epoch_without_measurement_is_bridged():
     assert np.isfinite(rows.covariance).all()
 
 
+@pytest.mark.slow
 def test_zero_position_holds_the_position():
     """The slow swing of a velocity that is only known to be zero on average goes; the attitude agrees."""
     log = simulate("disturbed", seed=4, condition=2, amplitude_mg=10.0, duration=120.0)

@@ -28,7 +28,13 @@ def navigated(name, samples=2, **options):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"), [("dvl-sturn", {}), ("gps-zigzag", {}), ("dvl-accturn", {}), ("dvl-sway", {"duration": 100.0})]
+    ("name", "options"),
+    [
+        ("gps-zigzag", {}),
+        pytest.param("dvl-sturn", {}, marks=pytest.mark.slow),
+        pytest.param("dvl-accturn", {}, marks=pytest.mark.slow),
+        ("dvl-sway", {"duration": 100.0}),
+    ],
 )
 def test_closes_against_the_simulator(name, options):
     """Intervals of two samples over 100-300 s of turns, dives and waves: millimetres and microradians."""
@@ -84,6 +90,7 @@ def test_held_position_and_displacement():
     np.testing.assert_allclose(displacement(moved, site).array, mean, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_gradient_of_the_end_with_respect_to_the_start():
     made = noiseless(scenario("dvl-sturn", duration=30.0))
     exact = truth(made)

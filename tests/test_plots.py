@@ -46,3 +46,11 @@ def test_compare(made):
     log, solution = made
     figure = plots.compare({"first": solution, "second": solution}, log)
     assert [t.get_text() for t in figure.axes[2].get_legend().get_texts()] == ["first", "second"]
+
+
+def test_the_methods_own_standard_deviations_are_drawn():
+    log = simulate("disturbed", 2, duration=20.0)
+    solution = align(build("fine"), log, every=20)
+    axes = plots.attitude(solution, log).axes
+    np.testing.assert_allclose(line(axes[4], "its own sd").get_ydata()[1:], np.rad2deg(solution.sd)[1:, 2])
+    assert "its own sd" in [t.get_text() for t in axes[2].get_legend().get_texts()]

@@ -103,7 +103,7 @@ def test_vondrak_response_is_the_formula():
     np.testing.assert_allclose(measured_gain(Vondrak(), 0.7), [float(Vondrak().response(0.7, DT)), 0.0], atol=1e-6)
 
 
-@pytest.mark.parametrize("condition", [1, 2, 3, 4])
+@pytest.mark.parametrize("condition", [2, *(pytest.param(c, marks=pytest.mark.slow) for c in (1, 3, 4))])
 def test_frozen_spectra_and_objectives(shared, condition):
     with np.load(shared / "cases" / "disturbed_psd.npz") as z:
         x, s, table, columns = z[f"x_c{condition}"], z[f"S_c{condition}"], z[f"table_c{condition}"], str(z["columns"])
@@ -172,6 +172,25 @@ def test_misfit_has_its_minimum_at_the_split(shared, condition):
         assert slope == pytest.approx(float(j(jnp.log(0.3) + h) - j(jnp.log(0.3) - h)) / (2 * h), rel=1e-4)
 
 
+@pytest.mark.slow
+def test_objectives_differentiate_through_the_filter(shared):
+    """(27) both ways over ln(cut-off), filter and spectrum in the loop, against differences at two step sizes."""
+    with np.load(shared / "cases" / "disturbed_psd.npz") as z:
+        x = z["x_c2"][:4000]
+    t = np.arange(len(x)) * DT
+    f, before = multitaper(x, DT)
+
+    def both(log_cutoff):
+        low, high = changes_db(f, before, multitaper(vondrak(t, x, jnp.exp(log_cutoff)), DT)[1])
+        return jnp.stack([jnp.log(printed(low, high)[0]), reconstructed(low, high)[0]])
+
+    value, at = jax.jit(both), float(np.log(0.8))
+    forward, reverse = jax.jit(jax.jacfwd(both))(at), jax.jit(jax.jacrev(both))(at)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-7)
+    for h in (1e-3, 1e-4):
+        np.testing.assert_allclose(forward, (value(at + h) - value(at - h)) / (2 * h), rtol=1e-4)
+
+
 def shaken(**options) -> Scenario:
     """A rocking base (10 deg sway) whose force is shaken by 10 mg as well."""
     made = scenario("sway", duration=100.0)
@@ -198,6 +217,7 @@ def test_a_rocking_base_is_filtered_in_the_inertial_frame():
     assert level["vondrak"] < level["none"]
 
 
+@pytest.mark.slow
 def test_averages_know_nothing_of_vondrak():
     """The theorem: weighted sums up to t^2 are preserved, so TRIAD on whole means is the same with and without."""
     log = simulate("disturbed", seed=1, duration=60.0, condition=2, amplitude_mg=10.0)
@@ -205,8 +225,9 @@ def test_averages_know_nothing_of_vondrak():
     np.testing.assert_allclose(found[0], found[1], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", list(PREFILTERS))
+@pytest.mark.parametrize("name", ["fir", *(pytest.param(n, marks=pytest.mark.slow) for n in ("vondrak", "wavelet"))])
 def test_by_name_in_front_of_a_method(name):
+    assert set(PREFILTERS) == {"vondrak", "fir", "wavelet"}
     pytest.importorskip("pywt")
     log = simulate("disturbed", seed=1, duration=60.0, condition=2, amplitude_mg=10.0)
     method = build("dual_vector", parameters={"prefilter.frame": "body", "vectors": "boxcar"}, prefilter=name)
