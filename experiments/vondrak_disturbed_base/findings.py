@@ -101,8 +101,8 @@ def findings(many: Any, swept: Any, pairs: Any, chosen: Any, driven: Any, segmen
 - Nor does it converge sooner then: the heading stays within 0.05 deg of its end from {settled[0]:.0f} s on without and
   from {settled[1]:.0f} s on with the filter (medians, condition 2, 10 mg, 1 cm/s).
 - Two vectors in inertial space are the other case: with boxcars over {long:g} s,
-  {_both(pairs[long], "boxcar T/3")}; over {short:g} s, {_both(pairs[short], "boxcar T/3")} (the ends of a filtered
-  record are hardly filtered). Hann windows on the raw force do better than any filter: {hann(long)} and {hann(short)}.
+  {_both(pairs[long], "boxcar T/3")}; over {short:g} s, {_both(pairs[short], "boxcar T/3")} (the ends
+  of a filtered record are hardly filtered). Hann windows on the raw force do better than any filter: {hann(long)} and {hann(short)}.
 {_smoothing(chosen)}
 - Half an hour of driving after it: position error with Vondrak's filter over that without, median over the runs:
   {_driven(driven)}. The paper has 0.845 (tactical) and 0.63 (navigation). Its positions of 12 and 1 m ("nm" in the

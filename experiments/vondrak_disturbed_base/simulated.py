@@ -18,7 +18,7 @@ __all__ = ["CONDITIONS", "SWEEP_MG", "disturbed", "hundred", "sweep", "ten_tests
 CONDITIONS = (1, 2, 3, 4)
 SWEEP_MG = (1.0, 10.0, 100.0)
 LONG, SHORT = 300.0, 150.4  # s; the sines have whole periods in the first, but not in the second
-LENGTHS = (61.4, 180.6)
+LENGTHS = (61.7, 180.6)  # neither the parts nor the time between them are whole periods
 VELOCITY_SD = {"fine, 1 mm/s": 1e-3, "fine, 1 cm/s": 1e-2}
 Found = dict[str, dict[str, Errors]]
 """Scheme -> what -> errors."""
@@ -93,8 +93,8 @@ def two_vectors(runs: int, seed: int) -> dict[float, Found]:
     }
     out = {}
     for length in LENGTHS:
-        made = disturbed(4, 10.0, noise_per="density", duration=length)
-        accel = accel_errors(0.0, density_ug_sqrt_hz=10.0)
+        made = disturbed(4, 10.0, duration=length)
+        accel = accel_errors(0.0, noise_ug=20.0)
         gyro = dataclasses.replace(made.gyro, bias=0.0 * made.gyro.bias)
         made = dataclasses.replace(made, accel=accel, gyro=gyro)
         every = dict.fromkeys(methods, made.epochs)
