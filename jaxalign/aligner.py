@@ -314,7 +314,7 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
 
     Raises:
         UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be
-            estimated.
+            estimated, or unfiltered epochs for a method with a prefilter.
     """
     if not hasattr(method, "solve"):
         raise UserError(f"{method!r} is no method: build one by name with jaxalign.methods.build('oba', aid='body')")
@@ -327,6 +327,11 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
         require_x64(log)
         if log.aid != method.aid:
             raise UserError(f"these epochs have a {log.aid!r} aid, the method observes {method.aid!r}")
+        if getattr(method, "prefilter", None) is not None and not log.filtered:
+            raise UserError(
+                "the method has a prefilter, but these epochs are not filtered: make them with method.epochs(log), or "
+                "with epochs_from_arrays(..., prefilter=method.prefilter)"
+            )
         epochs = log
     else:
         epochs = method.epochs(log)

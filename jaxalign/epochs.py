@@ -69,6 +69,7 @@ class Epochs(eqx.Module):
         aid_sd: standard deviation of the aid's white noise per axis, m/s (standing: of the force over one interval).
         aid: "static", "body" or "nav" (static).
         interval: nominal length of an interval, s, to four digits (static: windows in seconds become counts by it).
+        filtered: whether a prefilter has smoothed the force.
     """
 
     rows: Epoch
@@ -76,6 +77,7 @@ class Epochs(eqx.Module):
     aid_sd: Float[Array, ""]
     aid: Aid = eqx.field(static=True)
     interval: float = eqx.field(static=True)
+    filtered: bool = eqx.field(static=True, default=False)
 
     def __len__(self) -> int:
         return self.rows.dt.shape[-1]
@@ -92,6 +94,11 @@ def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
 
 
 _filtered = eqx.filter_jit(filtered_force)
+
+
+def _digits(seconds: float) -> float:
+    """Four of them: logs whose clocks differ in the seventh share a compiled program."""
+    return float(f"{float(seconds):.4g}")
 
 
 def check_prefilter(prefilter: AbstractPrefilter | None, aid: str) -> None:
@@ -142,14 +149,13 @@ def epochs_from_arrays(
         raise UserError(f"aid = {aid!r}: must be one of {', '.join(get_args(Aid))}")
     if prefilter is not None:
         check_prefilter(prefilter, aid)
-        dvel = _filtered(prefilter, dtheta, dvel, dt)
+        dvel = _filtered(prefilter, dtheta, dvel, _digits(dt))
     intervals = len(jnp.asarray(dtheta)) // every
     velocity = jnp.zeros((intervals + 1, 3)) if velocity is None else jnp.asarray(velocity)
     if len(velocity) != intervals + 1:
         raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {len(velocity)}")
     rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
-    # Four digits: logs whose clocks differ in the seventh share a compiled program.
-    return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, float(f"{every * dt:.4g}"))
+    return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, _digits(every * dt), prefilter is not None)
 
 
 def epochs_from_log(

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from jaxalign.earth import earth_rate
 from jaxalign.epochs import Epochs
 from jaxalign.spread import Spread
-from jaxalign.vector import Quat, Vec3, mean_rotated
+from jaxalign.vector import Quat, Vec3, mean_rotated, root
 
 __all__ = ["InertialRecord"]
 
@@ -66,7 +66,16 @@ class InertialRecord(eqx.Module):
         """Some epochs of it."""
         return jax.tree.map(lambda x: x[index], self)
 
+    def _spread(self) -> Spread:
+        steps = jax.tree.map(lambda x: jnp.diff(x, prepend=x[:1]), self.alpha)
+        return Spread.of(steps, np.arange(len(self.time)) > 0).cumulated()
+
     def observable(self, aid_sd: Any) -> Bool[Array, " epochs"]:
         """Whether gravity has turned beyond the noise of the force, per epoch (:class:`jaxalign.spread.Spread`)."""
-        steps = jax.tree.map(lambda x: jnp.diff(x, prepend=x[:1]), self.alpha)
-        return Spread.of(steps, np.arange(len(self.time)) > 0).cumulated().observable(aid_sd, steps=True)
+        return self._spread().observable(aid_sd, steps=True)
+
+    def heading_sd(self, aid_sd: Any) -> Float[Array, ""]:
+        """What the turning of gravity over the whole record allows at best, rad; 1 where it has not turned."""
+        scatter = self._spread().scatter()[-1]
+        turned = scatter > 0
+        return jnp.where(turned, aid_sd / root(jnp.where(turned, scatter, 1.0)), 1.0)

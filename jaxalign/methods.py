@@ -215,5 +215,9 @@ def build(
             raise UserError(f"no prefilter {prefilter!r}: did you mean {', '.join(near)}?")
         prefilter = PREFILTERS[prefilter]()
     if prefilter is not None:
+        if not isinstance(prefilter, AbstractPrefilter):
+            raise UserError(
+                f"prefilter = {prefilter!r}: must be one of {', '.join(PREFILTERS)}, or a filter such as Vondrak()"
+            )
         method = dataclasses.replace(method, prefilter=prefilter)
     return with_parameters(method, parameters or {})

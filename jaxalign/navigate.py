@@ -13,6 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxalign.earth import Site, earth_rate, normal_gravity, radii, transport_rate
@@ -98,12 +99,16 @@ def displacement(state: NavState, site: Site) -> Vec3:
     )
 
 
-def navigate(epochs: Epochs, start: NavState) -> NavState:
+def navigate(
+    epochs: Epochs, start: NavState, gyro_bias: ArrayLike | None = None, accel_bias: ArrayLike | None = None
+) -> NavState:
     """Navigate from the start of the epochs to their end, by the inertial unit alone; pure: vmap and differentiate it.
 
     Args:
         epochs: of :func:`jaxalign.epochs_from_log`; their aid is not used. Use short ones: ``interval_samples=2``.
         start: state at epoch 0.
+        gyro_bias: to be taken out of the increments, rad/s, b, (3,); ``Solution.filter.gyro_bias[-1]``.
+        accel_bias: likewise, m/s^2.
 
     Returns:
         States at the epochs, leaves of shape (M+1,).
@@ -113,8 +118,11 @@ def navigate(epochs: Epochs, start: NavState) -> NavState:
     """
     require_x64(epochs, start)
 
+    gyro, accel = (Vec3.zero() if b is None else Vec3.of(b) for b in (gyro_bias, accel_bias))
+
     def step(state: NavState, row: Epoch) -> tuple[NavState, NavState]:
-        state = advance(state, Increment(row.rotation, row.dvel), row.dt, epochs.site.anomaly)
+        increment = Increment(row.rotation, row.dvel).corrected(gyro, accel, row.dt)
+        state = advance(state, increment, row.dt, epochs.site.anomaly)
         return state, state
 
     return jax.lax.scan(step, start, epochs.rows)[1]

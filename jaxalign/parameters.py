@@ -46,7 +46,8 @@ def _fields(module: Any, prefix: str = "") -> Iterator[tuple[str, Any, dataclass
         if value is None and field.metadata.get("slot"):
             continue  # an empty slot has nothing to set
         if isinstance(value, eqx.Module):
-            yield from _fields(value, f"{path}.")
+            hidden = field.metadata.get("hides", ())
+            yield from (x for x in _fields(value, f"{path}.") if x[0].removeprefix(f"{path}.") not in hidden)
         else:
             yield path, value, field
 
@@ -128,6 +129,9 @@ def with_parameters(method: T, values: Mapping[str, Any]) -> T:
     known = {path: (value, field) for path, value, field in _fields(method)}
     for path, text in values.items():
         if path not in known:
+            slot = path.partition(".")[0]
+            if getattr(method, slot, "") is None and slot != path:
+                raise UserError(f"{path}: there is no {slot} to set: choose one first (--{slot} NAME)")
             near = close_names(path, known) or sorted(known)
             raise UserError(f"no parameter {path!r} in this method: did you mean {', '.join(near)}?")
         old, field = known[path]

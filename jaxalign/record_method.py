@@ -86,6 +86,8 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
     bits = jnp.where(defined, 0, int(Status.UNDEFINED))
     bits = bits + jnp.where(observable, 0, int(Status.HEADING_UNOBSERVABLE))
     bits = bits + jnp.where(finite, 0, int(Status.NON_FINITE))
+    aided = epochs.rows.valid[rows]
+    bits = bits + jnp.where(aided, 0, int(Status.AID_MISSING))
     one = jnp.ones_like(time)
     identity = jax.tree.map(lambda x: x * one, Quat.identity())
 
@@ -99,7 +101,7 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
         observable=observable,
         eigengap=0.0 * one,
         residual=masked(found.residual.array),
-        weight=one,
+        weight=aided * one,
         alpha=found.alpha.array,
         beta=found.beta.array,
         sd=None if found.sd is None else masked(found.sd),

@@ -46,6 +46,10 @@ class Spread(eqx.Module):
         """Running sums along the first axis."""
         return jax.tree.map(lambda x: jnp.cumsum(x, axis=0), self)
 
+    def scatter(self) -> Any:
+        """Sum of the squared distances of the vectors from their mean."""
+        return self.moments.trace - self.total.norm2() / jnp.where(self.count > 0, self.count, 1.0)
+
     def observable(self, sd: Any, steps: bool = False) -> Bool[Array, "*shape"]:
         """Whether the directions have opened beyond the noise: the heading begins to mean something (some 20 deg rms).
 
@@ -59,9 +63,7 @@ class Spread(eqx.Module):
         """
         a, variance = self.moments, sd * sd
         if steps:
-            some = self.count > 0
-            scatter = a.trace - self.total.norm2() / jnp.where(some, self.count, 1.0)
-            return some & (scatter * _HEADING_SD**2 > variance)
+            return (self.count > 0) & (self.scatter() * _HEADING_SD**2 > variance)
         minors = (
             (a.r0.x * a.r1.y - a.r0.y * a.r1.x)
             + (a.r0.x * a.r2.z - a.r0.z * a.r2.x)

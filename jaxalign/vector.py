@@ -18,12 +18,18 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-__all__ = ["Mat3", "Quat", "Vec3", "mean_rotated", "where"]
+__all__ = ["Mat3", "Quat", "Vec3", "mean_rotated", "root", "where"]
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
     """Elementwise choice between two pytrees of the same structure."""
     return jax.tree.map(lambda u, v: jnp.where(condition, u, v), a, b)
+
+
+def root(square: Any) -> Any:
+    """Square root; zero, with a gradient of zero, where there is none."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
 def _zero() -> Array:
@@ -93,9 +99,7 @@ class Vec3:
 
     def norm(self) -> Any:
         """Length; its gradient at the null vector is zero, not NaN."""
-        square = self.norm2()
-        positive = square > 0
-        return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+        return root(self.norm2())
 
     def unit(self) -> Vec3:
         """Direction; the null vector stays null."""

@@ -410,7 +410,7 @@ def test_fine_behind_a_prefilter(tmp_path, capsys):
     for wrong, words in (
         (["--prefilter", "vondark"], "no prefilter 'vondark': did you mean vondrak"),
         (["--prefilter", "vondrak", "--set", "prefilter.cutof=1"], "did you mean prefilter.cutoff"),
-        (["--set", "prefilter.cutoff=1"], "no parameter 'prefilter.cutoff'"),
+        (["--set", "prefilter.cutoff=1"], "there is no prefilter to set: choose one first (--prefilter NAME)"),
         (["--prefilter", "wavelet"], "too short for 8 levels"),
     ):
         assert words in refused(capsys, ["align", parked, "--method", "fine", "--end", "5", *wrong])
@@ -419,3 +419,9 @@ def test_fine_behind_a_prefilter(tmp_path, capsys):
 def test_a_prefilter_is_for_standing_vehicles(files, capsys):
     said = refused(capsys, ["align", files / "good.npz", "--method", "oba", "--prefilter", "fir"])
     assert "smooths the force of a standing vehicle" in said
+
+
+def test_methods_without_the_wavelet_library(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pywt", None)
+    assert main(["methods"]) == 0
+    assert "wavelet filter needs PyWavelets: pip install" in capsys.readouterr().out

@@ -52,7 +52,7 @@ def test_fir_is_a_low_pass_of_the_stated_shape():
     gain = np.asarray(Fir().response(f, DT))
     assert gain[0] == pytest.approx(1.0, abs=1e-14)
     assert gain[1] == pytest.approx(1.0, abs=0.02)
-    assert gain[2] == pytest.approx(0.5, abs=0.05)
+    assert gain[2] == pytest.approx(0.46, abs=0.005)
     assert (np.abs(gain[3:]) < 2e-3).all()
 
 
@@ -131,8 +131,8 @@ def test_spectrum_of_known_processes():
     f, density = multitaper(2.0 * np.sin(2 * np.pi * 3 * t), DT)
     near = np.abs(f - 3) < 0.1
     assert float(jnp.sum(density[near]) * f[1]) == pytest.approx(2.0, rel=2e-3)
-    odd, _ = multitaper(x[0, :4001], DT)
-    assert odd[-1] < 100.0
+    f, density = multitaper(x[:, :4001], DT)
+    np.testing.assert_allclose(jnp.sum(density, -1) * f[1], x[:, :4001].var(axis=1), rtol=0.03)
 
 
 def test_objectives_have_guarded_domains_and_true_derivatives():
@@ -244,9 +244,9 @@ def test_by_name_in_front_of_a_method(name):
     [
         (lambda: build("oba", "body", prefilter="vondrak"), "smooths the force of a standing vehicle"),
         (lambda: build("triad", prefilter="vondark"), "did you mean vondrak"),
-        (lambda: with_parameters(build("triad"), {"prefilter.cutoff": 1}), "no parameter 'prefilter.cutoff'"),
-        (lambda: Fir(taps=4), "odd"),
-        (lambda: Fir(rate=0.0), "rate"),
+        (lambda: with_parameters(build("triad"), {"prefilter.cutoff": 1}), "there is no prefilter to set"),
+        (lambda: with_parameters(Fir(), {"cutoff": 3.0}), "outside its bounds 0.2 .. 1 Hz"),
+        (lambda: Fir()(jnp.ones((500, 3)), 1.0), "at least 4 Hz"),
         (lambda: Wavelet(wavelet="sinc"), "orthogonal"),
         (lambda: Wavelet(cutoff=0.0), "cutoff"),
         (lambda: Wavelet()(jnp.ones((500, 3)), DT), "too short for 8 levels of db4: it takes at least 9.0 s"),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.figures import finish, panels, sizes
-from experiments.vondrak_disturbed_base.schemes import SCHEMES
+from experiments.vondrak_disturbed_base.schemes import FINES, SCHEMES
 from experiments.vondrak_disturbed_base.simulated import disturbed
 from experiments.vondrak_disturbed_base.smoothing import CUTOFFS, OBJECTIVES, Choice, objectives
 from jaxalign import read
@@ -66,7 +66,7 @@ def spectra(seed: int, real: Path | None) -> Figure:
 def convergence(found: Mapping[tuple[int, float], Any]) -> Figure:
     """Heading errors of the fine alignment over time, less what the biases leave."""
     rows = [key for key in found if key[1] in (1.0, 10.0)]
-    axes = panels(len(rows), 2, width=10.0, height=11.0, sharex=True, sharey=True)
+    axes = panels(len(rows), len(FINES), width=12.0, height=11.0, sharex=True, sharey=True)
     for i, (condition, amplitude) in enumerate(rows):
         of, floor = found[condition, amplitude]
         for j, what in enumerate(of["2: no filter"]):
@@ -74,8 +74,8 @@ def convergence(found: Mapping[tuple[int, float], Any]) -> Figure:
             curves = {scheme: of[scheme][what].phi[:, :, 2] - floor[:, None] for scheme in SCHEMES}
             sizes(axis, some.time, curves)
             axis.set_title(f"condition {condition}, {amplitude:g} mg; {what}", fontsize=10)
-            axis.set_ylabel("|heading error less floor| (deg)")
             axis.set_ylim(5e-3, 5)
+        axes[i, 0].set_ylabel("|heading error less floor| (deg)")
     for axis in axes[-1]:
         axis.set_xlabel("time (s)")
     return finish(axes, "fine alignment: median of the runs (solid), 95 % of them below (dashed)", 4)

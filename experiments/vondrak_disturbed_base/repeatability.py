@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from experiments.progress import Progress
-from experiments.vondrak_disturbed_base.schemes import SCHEMES, Turned, behind
-from jaxalign import Fine, Log, align, read
+from experiments.vondrak_disturbed_base.schemes import FINES, SCHEMES, behind, fine_of
+from jaxalign import Log, align, estimate_aid_sd, read
 from jaxalign.inertial import InertialRecord
 from jaxalign.methods import build
-from jaxalign.parameters import with_parameters
 from jaxalign.rotation import attitude_error
 from jaxalign.vector import Quat
 
@@ -22,7 +21,8 @@ __all__ = ["LENGTHS", "METHODS", "find", "repeatability"]
 
 LENGTHS = (60.0, 120.0, 300.0)
 SAMPLES = 10
-GYRO_LASER = {
+GYRO_LASER: dict[str, Any] = {
+    "accel_bias_ug": 50.0,
     "accel_noise_ug_sqrt_hz": 20.0,
     "gyro_bias_deg_h": 0.01,
     "gyro_walk_deg_sqrt_h": 1e-3,
@@ -30,11 +30,8 @@ GYRO_LASER = {
 }
 
 
-def _fine(velocity_sd: float, turned: float = 2.0) -> Fine:
-    start = build("dual_vector")
-    numbers = {**GYRO_LASER, "velocity_sd": velocity_sd}
-    method = Fine(coarse=Turned(method=start, deg=turned) if turned else start)
-    return with_parameters(method, {f"filter.{name}": value for name, value in numbers.items()})
+def _fine(velocity_sd: float, form: str) -> Callable[[], tuple[Any, int]]:
+    return lambda: (fine_of(GYRO_LASER, velocity_sd, form), SAMPLES)
 
 
 METHODS: dict[str, Callable[[], tuple[Any, int]]] = {
@@ -44,8 +41,7 @@ METHODS: dict[str, Callable[[], tuple[Any, int]]] = {
     "velocity_q": lambda: (build("velocity_q"), SAMPLES),
     "2 vectors, Hann T/3": lambda: (build("dual_vector"), 1),
     "the same, epochs of 0.1 s": lambda: (build("dual_vector"), SAMPLES),
-    "fine, 1 cm/s": lambda: (_fine(0.01), SAMPLES),
-    "fine, 1 mm/s": lambda: (_fine(0.001), SAMPLES),
+    **{what: _fine(*numbers) for what, numbers in FINES.items()},
 }
 """Methods, and IMU samples per epoch."""
 
@@ -58,7 +54,7 @@ def find(folder: Path) -> Path | None:
 
 def _reference(log: Log, times: list[float]) -> np.ndarray:
     """(times, 4) attitudes: where the fine alignment of the whole log ends, taken back by the gyros."""
-    method = _fine(0.01, 0.0)
+    method = fine_of(GYRO_LASER, 0.01, "standing", 0.0)
     epochs = method.epochs(log)
     end = align(method, epochs, every=len(epochs) - 1).q_nb[-1]
     record = InertialRecord.of(epochs)
@@ -73,6 +69,7 @@ def repeatability(path: Path, lengths: tuple[float, ...] = LENGTHS) -> dict[tupl
     whole = dataclasses.replace(read(path), aid="static", velocity=None, C_nb=None, aid_every=SAMPLES)
     out: dict[tuple[float, str, str], np.ndarray] = {}
     count = sum(int(whole.duration // length) for length in lengths) * len(SCHEMES) * len(METHODS)
+    noise = estimate_aid_sd(build("velocity_q").epochs(whole))
     with Progress("laser-gyro log", count) as bar:
         for length in lengths:
             starts = np.arange(int(whole.duration // length)) * length
@@ -84,7 +81,7 @@ def repeatability(path: Path, lengths: tuple[float, ...] = LENGTHS) -> dict[tupl
                     for start, q in zip(starts, expected, strict=True):
                         segment = whole.crop(start, start + length).with_epochs(samples)
                         chosen = behind(prefilter, method)
-                        solution = align(chosen, segment, every=segment.epochs, aid_sd=1.0)
+                        solution = align(chosen, segment, every=segment.epochs, aid_sd=noise)
                         found.append(np.rad2deg(attitude_error(solution.q_nb[-1], q))[2])
                         bar.advance(1)
                     out[length, scheme, label] = np.array(found)

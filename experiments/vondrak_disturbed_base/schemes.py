@@ -19,7 +19,7 @@ from jaxalign.prefilter import AbstractPrefilter, Fir, Vondrak, Wavelet
 from jaxalign.record_method import AbstractRecordMethod, Found
 from jaxalign.simulate import Scenario
 
-__all__ = ["GRADES", "SCHEMES", "Turned", "behind", "fine_of", "floor_deg", "grade_of"]
+__all__ = ["FINES", "GRADES", "SCHEMES", "Turned", "behind", "fine_of", "floor_deg", "grade_of"]
 
 SCHEMES: dict[str, AbstractPrefilter | None] = {
     "1: Vondrak": Vondrak(),
@@ -28,11 +28,26 @@ SCHEMES: dict[str, AbstractPrefilter | None] = {
     "4: wavelet": Wavelet(),
 }
 """All at 0.5 Hz."""
-GRADES: dict[str, dict[str, float]] = {
-    "tactical": {"accel_bias_ug": 50, "gyro_bias_deg_h": 0.1, "accel_noise_ug_sqrt_hz": 50, "gyro_walk": 0.05},
-    "navigation": {"accel_bias_ug": 10, "gyro_bias_deg_h": 0.02, "accel_noise_ug_sqrt_hz": 10, "gyro_walk": 0.01},
+
+
+def _filter(accel_ug: float, gyro_deg_h: float, walk_deg_h_sqrt_hz: float) -> dict[str, float]:
+    return {
+        "accel_bias_ug": accel_ug,
+        "accel_noise_ug_sqrt_hz": accel_ug,
+        "gyro_bias_deg_h": gyro_deg_h,
+        "gyro_walk_deg_sqrt_h": walk_deg_h_sqrt_hz / 60,
+        "initial_tilt_sd_deg": 0.05,
+    }
+
+
+GRADES = {"tactical": _filter(50, 0.1, 0.05), "navigation": _filter(10, 0.02, 0.01)}
+"""Tables 3 and 4, as the filter takes them."""
+FINES = {
+    "fine, published form, 1 mm/s": (1e-3, "published"),
+    "fine, 1 mm/s": (1e-3, "standing"),
+    "fine, 1 cm/s": (1e-2, "standing"),
 }
-"""Tables 3 and 4; the walk in deg/h/sqrt(Hz)."""
+"""Noise of the zero velocity (m/s) and form of the fine alignments."""
 
 
 def grade_of(condition: int) -> str:
@@ -61,14 +76,20 @@ class Turned(AbstractRecordMethod):
         return dataclasses.replace(found, q_nb=q_nb)
 
 
-def fine_of(grade: str, velocity_sd: float, turned: float = 2.0) -> Fine:
-    """The paper's fine alignment for a grade of sensors: 0.05 deg of tilt and 3 deg of heading to begin with."""
-    numbers = dict(GRADES[grade])
-    numbers["gyro_walk_deg_sqrt_h"] = numbers.pop("gyro_walk") / 60
+def fine_of(numbers: dict[str, Any], velocity_sd: float, form: str, turned: float = 2.0) -> Fine:
+    """The fine alignment of sensors with these numbers: 3 deg of heading to begin with.
+
+    Args:
+        numbers: of the filter.
+        velocity_sd: m/s.
+        form: of the filter; the published one does not widen its initial heading on a short record.
+        turned: the coarse heading is off by so many degrees more.
+    """
     start = build("dual_vector")
     method = Fine(coarse=Turned(method=start, deg=turned) if turned else start)
-    settings = {**numbers, "velocity_sd": velocity_sd, "initial_tilt_sd_deg": 0.05}
-    return with_parameters(method, {f"filter.{name}": value for name, value in settings.items()})
+    settings = {**numbers, "velocity_sd": velocity_sd, "form": form}
+    margin = {"heading_margin": 0.0} if form == "published" else {}
+    return with_parameters(method, {f"filter.{name}": value for name, value in settings.items()} | margin)
 
 
 def behind(prefilter: AbstractPrefilter | None, method: Any) -> Any:

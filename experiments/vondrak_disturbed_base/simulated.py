@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from experiments.monte_carlo import Errors, monte_carlo, run_keys
-from experiments.vondrak_disturbed_base.schemes import SCHEMES, behind, fine_of, floor_deg, grade_of
+from experiments.vondrak_disturbed_base.schemes import FINES, GRADES, SCHEMES, behind, fine_of, floor_deg, grade_of
 from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.methods import build
 from jaxalign.simulate import Scenario, SineForce, accel_errors, scenario
@@ -19,7 +19,6 @@ CONDITIONS = (1, 2, 3, 4)
 SWEEP_MG = (1.0, 10.0, 100.0)
 LONG, SHORT = 300.0, 150.4  # s; the sines have whole periods in the first, but not in the second
 LENGTHS = (61.7, 180.6)  # neither the parts nor the time between them are whole periods
-VELOCITY_SD = {"fine, 1 mm/s": 1e-3, "fine, 1 cm/s": 1e-2}
 Found = dict[str, dict[str, Errors]]
 """Scheme -> what -> errors."""
 
@@ -46,7 +45,8 @@ def _found(made: Scenario, methods: dict[str, Any], every: dict[str, int], runs:
 
 
 def _fines(condition: int) -> dict[str, Any]:
-    return {what: fine_of(grade_of(condition), sd) for what, sd in VELOCITY_SD.items()}
+    numbers = GRADES[grade_of(condition)]
+    return {what: fine_of(numbers, sd, form) for what, (sd, form) in FINES.items()}
 
 
 def ten_tests(runs: int, seed: int) -> dict[int, Found]:
@@ -55,7 +55,7 @@ def ten_tests(runs: int, seed: int) -> dict[int, Found]:
     for condition in CONDITIONS:
         made = disturbed(condition, bias="fixed", duration=LONG)
         methods = {"TRIAD, 60 s": build("triad"), **_fines(condition)}
-        every = {"TRIAD, 60 s": 600, **dict.fromkeys(VELOCITY_SD, 10)}
+        every = {"TRIAD, 60 s": 600, **dict.fromkeys(FINES, 10)}
         out[condition] = _found(made, methods, every, runs, seed, f"condition {condition}, {runs} tests")
     return out
 
@@ -66,7 +66,7 @@ def hundred(runs: int, seed: int) -> dict[int, tuple[Found, np.ndarray]]:
     for condition in CONDITIONS:
         made = disturbed(condition, bias="gaussian", noise_per="density", duration=SHORT)
         methods = {"TRIAD": build("triad"), **_fines(condition)}
-        every = {"TRIAD": made.epochs, **dict.fromkeys(VELOCITY_SD, 16)}
+        every = {"TRIAD": made.epochs, **dict.fromkeys(FINES, 16)}
         found = _found(made, methods, every, runs, seed, f"condition {condition}, drawn biases")
         out[condition] = found, floor_deg(made, run_keys(seed, runs))
     return out
@@ -78,7 +78,7 @@ def sweep(runs: int, seed: int) -> dict[tuple[int, float], tuple[Found, np.ndarr
     for condition in (2, 4):
         for amplitude in SWEEP_MG:
             made = disturbed(condition, amplitude, bias="gaussian", noise_per="density", duration=SHORT)
-            every = dict.fromkeys(VELOCITY_SD, 16)
+            every = dict.fromkeys(FINES, 16)
             title = f"condition {condition}, {amplitude:g} mg"
             found = _found(made, _fines(condition), every, runs, seed, title)
             out[condition, amplitude] = found, floor_deg(made, run_keys(seed, runs))

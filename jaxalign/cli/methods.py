@@ -27,7 +27,9 @@ def _settable(part: Any) -> str:
 
 def _run(options: argparse.Namespace) -> int:
     import inspect
+    import re
 
+    from jaxalign.errors import UserError
     from jaxalign.methods import RECIPES, build
     from jaxalign.prefilter import PREFILTERS
 
@@ -51,6 +53,10 @@ def _run(options: argparse.Namespace) -> int:
     if not options.name:
         print("\nprefilters (--prefilter NAME, --set prefilter.FIELD=VALUE), for a standing vehicle:")
         for name, kind in PREFILTERS.items():
-            summary = (inspect.getdoc(kind) or "").splitlines()[0]
-            print(f"{name:{width}s}{summary}\n{'':{width}s}{_settable(kind())}")
+            summary = re.sub(r" \(:func:.*?\)", "", (inspect.getdoc(kind) or "").splitlines()[0])
+            try:
+                settable = _settable(kind())
+            except UserError as error:  # its library is not installed
+                settable = str(error)
+            print(f"{name:{width}s}{summary}\n{'':{width}s}{settable}")
     return 0

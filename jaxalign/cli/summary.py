@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from jaxalign.cli.report import table
-from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.log import Log
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.parameters import parameters
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.reconstruct import Measured
 from jaxalign.solution import FilterRecord, Solution, Status
+from jaxalign.units import DEG_H, UG
 
 __all__ = ["misfit", "summary"]
 
@@ -147,7 +147,12 @@ def _belief(sd: Any, told: FilterRecord, filtered: bool) -> list[str]:
         elif ratio < 0.5:
             judged = ": its noise is stated too large (filter.velocity_sd?): its standard deviations are cautious"
         out.append(f"  its innovations squared are {ratio:.2g} times what it expects{judged}")
-    gyro_deg_h, accel_ug = np.rad2deg(gyro) * 3600, accel / (STANDARD_GRAVITY * 1e-6)
+    first = np.rad2deg(np.asarray(sd)[1, 2]) if len(sd) > 1 else np.inf
+    if up > 0.5 * first:
+        out.append(
+            "  the heading is hardly better known than at its start: it is the coarse one, give it a longer record"
+        )
+    gyro_deg_h, accel_ug = gyro / DEG_H, accel / UG
     out.append(
         f"  biases (right, forward, up): gyros {_numbers(gyro_deg_h)} deg/h, accelerometers {_numbers(accel_ug)} ug"
     )

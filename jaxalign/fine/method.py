@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
@@ -15,26 +16,33 @@ from jaxalign.fine.error_filter import ErrorFilter, FilterRow
 from jaxalign.fine.error_model import PSI
 from jaxalign.inertial import InertialRecord
 from jaxalign.observe.options import check_interval, optional_count
+from jaxalign.parameters import tunable
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.prefilter.base import optional_prefilter
 from jaxalign.record_method import AbstractRecordMethod, Found
 from jaxalign.solution import FilterRecord
 from jaxalign.two_vector import DualVector
-from jaxalign.vector import Quat
+from jaxalign.vector import Quat, root
 
 __all__ = ["Fine"]
+
+
+_WORST = 1.0  # rad
 
 
 class Fine(AbstractRecordMethod):
     """Coarse attitude from the whole record, then the error-state filter over the record from its start.
 
-    The coarse attitude is where the filter linearises, and no information: what it may be off by stands in the initial
-    standard deviations (0.1 deg in tilt, 3 deg in heading). It is taken back to the start of the record by the gyros,
-    so that the filter uses all of it. ``Solution.sd`` and ``Solution.filter`` hold what the filter believes.
+    The coarse attitude is where the filter linearises, and no information: to the initial heading variance is added
+    what the turning of gravity over the record and the noise of the force (``Epochs.aid_sd``) leave open, some times
+    over (two windows are not all the data, and they are used twice), so that on a short record the heading has the
+    standard deviation that it deserves. The attitude is taken back to the start of the record by the gyros, so that the
+    filter uses all of it. ``Solution.sd`` and ``Solution.filter`` hold what the filter believes.
 
     Attributes:
         coarse: any method for a standing vehicle.
         filter: the error-state filter.
+        heading_margin: times what the directions allow is added to the initial heading standard deviation; 0: nothing.
         interval_samples: IMU samples per epoch (between updates); None: as the log has it.
         prefilter: of the specific force, in front of both.
 
@@ -42,8 +50,9 @@ class Fine(AbstractRecordMethod):
     TRIAD over its beginning.
     """
 
-    coarse: Any = eqx.field(default_factory=DualVector)
+    coarse: Any = eqx.field(default_factory=DualVector, metadata={"hides": ("interval_samples",)})
     filter: ErrorFilter = eqx.field(default_factory=ErrorFilter)
+    heading_margin: Float[Array, ""] = tunable(3.0, unit="1", bounds=(0.0, 10.0))
     interval_samples: int | None = optional_count()
     prefilter: AbstractPrefilter | None = optional_prefilter()
 
@@ -51,17 +60,41 @@ class Fine(AbstractRecordMethod):
         check_interval(self.interval_samples)
         if getattr(self.coarse, "aid", None) != "static":
             raise UserError("coarse: must be a method for a standing vehicle, such as build('dual_vector')")
-        own = getattr(self.coarse, "observe", self.coarse).interval_samples
-        if own is not None or self.coarse.prefilter is not None:
+        own = getattr(getattr(self.coarse, "observe", self.coarse), "interval_samples", None)
+        if own is not None or getattr(self.coarse, "prefilter", None) is not None:
             raise UserError("coarse: it takes the epochs of the fine alignment: set interval and prefilter there")
 
-    def refine(self, epochs: Epochs, start: Quat) -> FilterRow:
-        """The filter over epochs from a known attitude at epoch 0: rows with leaves of shape (M+1, ...). Pure."""
+    def refine(self, epochs: Epochs, start: Quat, heading_sd: Any = 0.0, every: int = 1) -> FilterRow:
+        """The filter over epochs from a known attitude at epoch 0. Pure.
 
-        def step(state: Any, row: Any) -> Any:
-            return self.filter.step(state, row)
+        Args:
+            epochs: of a standing vehicle.
+            start: attitude at epoch 0.
+            heading_sd: see :meth:`ErrorFilter.init`.
+            every: epochs between rows: at 0, every ``every``-th and the last; memory goes with the rows.
 
-        return jax.lax.scan(step, self.filter.init(epochs.site, start), epochs.rows)[1]
+        Returns:
+            Rows, leaves with a first axis.
+        """
+        step = self.filter.step
+        first, rows = (jax.tree.map(lambda x, i=i: x[i], epochs.rows) for i in (0, slice(1, None)))
+        state, row = step(self.filter.init(epochs.site, start, heading_sd), first)
+
+        def block(state: Any, some: Any) -> Any:
+            before, last = jax.tree.map(lambda x: x[:-1], some), jax.tree.map(lambda x: x[-1], some)
+            state, _ = jax.lax.scan(lambda s, e: (step(s, e)[0], None), state, before)
+            return step(state, last)
+
+        blocks, rest = divmod(len(epochs) - 1, every)
+        parts = [jax.tree.map(lambda x: x[None], row)]
+        if blocks:
+            whole = jax.tree.map(lambda x: x[: blocks * every].reshape(blocks, every), rows)
+            state, found = jax.lax.scan(block, state, whole)
+            parts.append(found)
+        if rest:
+            _, found = block(state, jax.tree.map(lambda x: x[-rest:], rows))
+            parts.append(jax.tree.map(lambda x: x[None], found))
+        return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
 
     def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
         """Coarse attitude, taken back to epoch 0, and the filter from there."""
@@ -70,7 +103,9 @@ class Fine(AbstractRecordMethod):
         end = record.at(last)
         known = coarse.defined[-1]
         start = (end.q_n0n * Quat.of(coarse.q_nb[-1]) * end.q_b0b.conjugate()).unit()
-        row = jax.tree.map(lambda x: x[rows], self.refine(epochs, start))
+        heading_sd = jnp.minimum(self.heading_margin * record.heading_sd(epochs.aid_sd), _WORST)
+        every = int(rows[1] - rows[0]) if len(rows) > 1 else 1
+        row = self.refine(epochs, start, heading_sd, every)
         before = record.at(np.maximum(rows - 1, 0))
         at = record.at(rows)
         alpha, beta = at.alpha - before.alpha, at.beta - before.beta
@@ -84,7 +119,6 @@ class Fine(AbstractRecordMethod):
             row.innovation_covariance,
             row.updated.astype(jnp.float64),
         )
-        positive = variances > 0
-        sd = jnp.where(positive, jnp.sqrt(jnp.where(positive, variances, 1.0)), 0.0)
+        sd = root(variances)
         defined = known & (jnp.asarray(rows) > 0)
         return Found(row.q_nb, defined, alpha, beta, alpha - q_n0b0.rotate(beta), sd, told)

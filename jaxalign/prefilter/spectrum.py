@@ -36,7 +36,7 @@ def multitaper(
 
     Returns:
         Frequencies (Hz) from 0 to half the rate, and the density (unit of x squared, per Hz): its sum over the
-        frequencies times their spacing is the variance.
+        frequencies times their spacing is the variance, for records without a trend (for a ramp 0.86 of it).
 
     Raises:
         UserError: half bandwidth or number of tapers that do not fit the record.

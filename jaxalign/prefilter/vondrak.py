@@ -12,7 +12,7 @@ cut-off by dt^(-1/6). (24) is the limit of the gain for small f dt.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,7 +26,7 @@ from jaxalign.errors import UserError
 from jaxalign.parameters import tunable
 from jaxalign.precision import require_x64
 from jaxalign.prefilter.banded import smooth
-from jaxalign.prefilter.base import AbstractPrefilter
+from jaxalign.prefilter.base import AbstractPrefilter, Frame
 
 __all__ = ["Vondrak", "cutoff_from_theta", "gain", "theta_from_cutoff", "vondrak"]
 
@@ -60,7 +60,7 @@ class Vondrak(AbstractPrefilter):
     """
 
     cutoff: Float[Array, ""] = tunable(0.5, unit="Hz", bounds=(1e-3, 100.0))
-    frame: Literal["inertial", "body"] = eqx.field(static=True, default="inertial")
+    frame: Frame = eqx.field(static=True, default="inertial")
 
     @property
     def theta(self) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError
-from jaxalign.prefilter.base import AbstractPrefilter
+from jaxalign.prefilter.base import AbstractPrefilter, Frame
 
 __all__ = ["Wavelet"]
 
@@ -39,7 +39,7 @@ class Wavelet(AbstractPrefilter):
 
     wavelet: str = eqx.field(static=True, default="db4")
     cutoff: float = eqx.field(static=True, default=0.5)
-    frame: Literal["inertial", "body"] = eqx.field(static=True, default="inertial")
+    frame: Frame = eqx.field(static=True, default="inertial")
 
     def __check_init__(self):
         if not 0 < self.cutoff < np.inf:

@@ -15,14 +15,12 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.simulate.arguments import choice, leaf
+from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
 __all__ = ["BiasKind", "SineForce", "TriadErrors", "accel_errors", "gyro_errors", "white"]
 
 BiasKind = Literal["sign", "gaussian", "fixed"]
 _KINDS = ("sign", "gaussian", "fixed")
-_DEG_H = jnp.pi / 180 / 3600
-_DEG_SQRT_H = jnp.pi / 180 / 60
-_UG = STANDARD_GRAVITY * 1e-6
 
 
 def white(key: PRNGKeyArray, count: int) -> Float[Array, "count 3"]:
@@ -94,9 +92,9 @@ def gyro_errors(
         UserError: for a negative noise or an unknown kind.
     """
     return TriadErrors(
-        leaf(bias_deg_h, "bias_deg_h") * _DEG_H,
-        leaf(walk_deg_sqrt_h, "walk_deg_sqrt_h", low=0.0) * _DEG_SQRT_H,
-        leaf(noise_deg_h, "noise_deg_h", low=0.0) * _DEG_H,
+        leaf(bias_deg_h, "bias_deg_h") * DEG_H,
+        leaf(walk_deg_sqrt_h, "walk_deg_sqrt_h", low=0.0) * DEG_SQRT_H,
+        leaf(noise_deg_h, "noise_deg_h", low=0.0) * DEG_H,
         kind,
     )
 
@@ -116,9 +114,9 @@ def accel_errors(
         UserError: for a negative noise or an unknown kind.
     """
     return TriadErrors(
-        leaf(bias_ug, "bias_ug") * _UG,
-        leaf(density_ug_sqrt_hz, "density_ug_sqrt_hz", low=0.0) * _UG,
-        leaf(noise_ug, "noise_ug", low=0.0) * _UG,
+        leaf(bias_ug, "bias_ug") * UG,
+        leaf(density_ug_sqrt_hz, "density_ug_sqrt_hz", low=0.0) * UG,
+        leaf(noise_ug, "noise_ug", low=0.0) * UG,
         kind,
     )
 
