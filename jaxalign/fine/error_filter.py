@@ -79,7 +79,7 @@ class FilterRow(eqx.Module):
 
 
 class ErrorFilter(eqx.Module):
-    """15 error states about a strapdown mechanisation, set to zero after every update (closed loop).
+    """15 error states about a strapdown mechanisation, fed back after every update (closed loop; see ``form``).
 
     The default numbers are the tactical unit of the Vondrak paper (Table 3) on a base shaken by some cm/s. The noise
     of the zero velocity stands for the motion of the base: with far too small a ``velocity_sd`` the standard deviations
@@ -101,10 +101,10 @@ class ErrorFilter(eqx.Module):
         updates: "velocity": zero velocity, the position held; "position": zero displacement from the start as well.
         form: "published": the measured force in f x psi, all errors fed back. On a shaken base both are wrong: that
             force holds the shaking which the innovations are made of, so the filter takes it for information that the
-            heading is right as it is (5 deg off keep 3.7 deg after 20 s of 1 cm/s, stated 2.5 deg); and a correction of
-            the heading that follows the velocity of one epoch turns the force of the next. "standing": gravity in
-            f x psi, and the error of the heading is estimated but not fed back into the mechanisation, whose heading
-            stays that of the coarse alignment; its constant error of some degrees is harmless.
+            heading is right as it is (5 deg off keep most of it after 20 s of 1 cm/s); and a correction of the heading
+            that follows the velocity of one epoch turns the force of the next. "standing": gravity in f x psi, and the
+            error of the heading is estimated but not fed back into the mechanisation, whose heading stays that of the
+            coarse alignment; its constant error of some degrees is harmless.
 
     Source: the Vondrak paper (13)-(20). Joseph's form instead of (19); (13)'s Z has the sign of estimate minus truth.
     "standing" is none of the papers'.
