@@ -92,6 +92,9 @@ def study(runs: int, seed: int) -> Page:
         f"## {min(10, runs)} tests with fixed biases (Fig. 9)",
         "The paper draws them as curves, without numbers, and says: with the filter 2-3 times more accurate.",
         tables.condition_table("ten tests", {f"condition {c}": (of, None) for c, of in ten.items()}),
+    )
+    page.picture("tests", "Heading errors of each test", pictures.tests(ten))
+    page.add(
         f"## {runs} runs with drawn biases, {simulated.SHORT:g} s",
         tables.condition_table("drawn biases", {f"condition {c}": pair for c, pair in many.items()}),
         f"## Larger disturbances, {max(2, runs // 2)} runs",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["convergence", "landscapes", "spectra"]
+__all__ = ["convergence", "landscapes", "spectra", "tests"]
 
 G = 9.80665
 
@@ -64,21 +64,36 @@ def spectra(seed: int, real: Path | None) -> Figure:
 
 
 def convergence(found: Mapping[tuple[int, float], Any]) -> Figure:
-    """Heading errors of the fine alignment over time, less what the biases leave."""
+    """Heading errors of coarse and fine alignment over time, less what the biases leave."""
     rows = [key for key in found if key[1] in (1.0, 10.0)]
-    axes = panels(len(rows), len(FINES), width=12.0, height=11.0, sharex=True, sharey=True)
+    axes = panels(len(rows), 1 + len(FINES), width=15.0, height=11.0, sharex=True, sharey=True)
     for i, (condition, amplitude) in enumerate(rows):
         of, floor = found[condition, amplitude]
         for j, what in enumerate(of["2: no filter"]):
             axis, some = axes[i, j], of["2: no filter"][what]
             curves = {scheme: of[scheme][what].phi[:, :, 2] - floor[:, None] for scheme in SCHEMES}
             sizes(axis, some.time, curves)
-            axis.set_title(f"condition {condition}, {amplitude:g} mg; {what}", fontsize=10)
+            axis.set_title(f"{condition}, {amplitude:g} mg; {what}", fontsize=9)
             axis.set_ylim(5e-3, 5)
         axes[i, 0].set_ylabel("|heading error less floor| (deg)")
     for axis in axes[-1]:
         axis.set_xlabel("time (s)")
-    return finish(axes, "fine alignment: median of the runs (solid), 95 % of them below (dashed)", 4)
+    return finish(axes, "condition, disturbance; method: median of the runs (solid), 95 % of them below (dashed)", 4)
+
+
+def tests(found: Mapping[int, Any]) -> Figure:
+    """Fig. 9: the heading error of every test, by scheme and condition."""
+    what = next(iter(FINES))
+    axes = panels(2, 2, width=10.0, height=7.0, sharex=True)
+    for axis, (condition, of) in zip(axes.flat, found.items(), strict=True):
+        for i, scheme in enumerate(SCHEMES):
+            errors = of[scheme][what].phi[:, -1, 2]
+            axis.plot(np.arange(1, len(errors) + 1), errors, "o-", label=scheme, color=f"C{i}", markersize=9 - 2 * i)
+        axis.set_title(f"condition {condition}", fontsize=10)
+        axis.set_ylabel("heading error (deg)")
+    for axis in axes[-1]:
+        axis.set_xlabel("test")
+    return finish(axes, f"{what}, after 300 s", 4)
 
 
 def landscapes(seed: int, found: Mapping[tuple[int, str], tuple[Choice, dict[float, Choice]]]) -> Figure:

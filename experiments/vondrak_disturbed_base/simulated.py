@@ -13,11 +13,12 @@ from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.methods import build
 from jaxalign.simulate import Scenario, SineForce, accel_errors, scenario
 
-__all__ = ["CONDITIONS", "SWEEP_MG", "disturbed", "hundred", "sweep", "ten_tests", "two_vectors"]
+__all__ = ["COARSE", "CONDITIONS", "SWEEP_MG", "disturbed", "hundred", "sweep", "ten_tests", "two_vectors"]
 
 CONDITIONS = (1, 2, 3, 4)
 SWEEP_MG = (1.0, 10.0, 100.0)
 LONG, SHORT = 300.0, 150.4  # s; the sines have whole periods in the first, but not in the second
+COARSE = "coarse: 2 vectors, Hann"
 LENGTHS = (61.7, 180.6)  # neither the parts nor the time between them are whole periods
 Found = dict[str, dict[str, Errors]]
 """Scheme -> what -> errors."""
@@ -78,9 +79,10 @@ def sweep(runs: int, seed: int) -> dict[tuple[int, float], tuple[Found, np.ndarr
     for condition in (2, 4):
         for amplitude in SWEEP_MG:
             made = disturbed(condition, amplitude, bias="gaussian", noise_per="density", duration=SHORT)
-            every = dict.fromkeys(FINES, 16)
-            title = f"condition {condition}, {amplitude:g} mg"
-            found = _found(made, _fines(condition), every, runs, seed, title)
+            methods = {COARSE: build("dual_vector"), **_fines(condition)}
+            found = _found(
+                made, methods, dict.fromkeys(methods, 16), runs, seed, f"condition {condition}, {amplitude:g} mg"
+            )
             out[condition, amplitude] = found, floor_deg(made, run_keys(seed, runs))
     return out
 
