@@ -2,11 +2,13 @@
 
     truth(scenario)                    once: perfect increments and the states at the epochs
     measure(truth, scenario, key)      per run: pure, `vmap` it over keys
+    measure_epochs(intervals_of(truth, samples), scenario, key)   the same, noise drawn per interval: far cheaper
     simulate("dvl-sturn", seed=1)      both, as a `Log`
 
 A new motion is a `Trajectory` of signals; a new fault of the aid is a module ``(key, t, error) -> error``.
 """
 
+from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs
 from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
 from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
 from jaxalign.simulate.measurement import (
@@ -46,6 +48,7 @@ __all__ = [
     "CourseVelocity",
     "FixedOutliers",
     "Gap",
+    "Intervals",
     "JumpOutliers",
     "NavVelocity",
     "Ramps",
@@ -64,8 +67,10 @@ __all__ = [
     "exact_increments",
     "gyro_errors",
     "imu_increments",
+    "intervals_of",
     "log_of",
     "measure",
+    "measure_epochs",
     "noiseless",
     "s_turn",
     "scenario",

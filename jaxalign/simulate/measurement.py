@@ -119,7 +119,7 @@ def truth(scenario: Scenario) -> Truth:
     )
 
 
-def _keys(key: PRNGKeyArray) -> tuple[PRNGKeyArray, ...]:
+def source_keys(key: PRNGKeyArray) -> tuple[PRNGKeyArray, ...]:
     """Keys of gyroscopes, accelerometers, disturbance, aid noise and faults.
 
     Each source has its own, so that switching one on leaves the draws of the others alone.
@@ -131,7 +131,7 @@ def imu_increments(
     truth: Truth, scenario: Scenario, key: PRNGKeyArray
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Measured rotation (rad) and velocity (m/s) increments of one run. Pure; `vmap` it over keys."""
-    gyro, accel, force, _, _ = _keys(key)
+    gyro, accel, force, _, _ = source_keys(key)
     samples = truth.dtheta.shape[0]
     dtheta = truth.dtheta + scenario.gyro.increments(gyro, samples, truth.dt)
     dvel = truth.dvel + scenario.accel.increments(accel, samples, truth.dt)
@@ -147,7 +147,7 @@ def aid_velocity(truth: Truth, scenario: Scenario, key: PRNGKeyArray) -> Float[A
     """
     if scenario.aid == "static":
         return None
-    _, _, _, noise, faults = _keys(key)
+    _, _, _, noise, faults = source_keys(key)
     exact = truth.velocity_b if scenario.aid == "body" else truth.velocity_n
     error = white(noise, exact.shape[0]) * scenario.aid_sd
     for i, fault in enumerate(scenario.faults):

@@ -1,0 +1,147 @@
+"""Sensor noise per interval instead of per IMU sample: the same distribution to first order, two hundred times cheaper.
+
+White noise of the samples enters the increments of an interval linearly (to first order in the noise: 5e-8 rad after
+300 s), so its sum is one six-dimensional Gaussian per interval, whose covariance the truth fixes. With R_j the attitude
+at the middle of sample j, V_j = R_j dv_j its velocity increment in b at the start of the interval, and
+W_j = sum_{i>j} V_i + V_j / 2 what comes after it, errors e_j, a_j of its increments give
+
+    d(rotation) = sum R_j e_j
+    d(velocity) = sum R_j a_j - sum W_j x R_j e_j
+
+Not for what looks at single samples: prefilters, vectors at IMU rate, a disturbance that is not white.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxalign.epochs import Epoch, Epochs
+from jaxalign.errors import UserError
+from jaxalign.preintegrate import Increment, preintegrate
+from jaxalign.simulate.imu import Truth
+from jaxalign.simulate.measurement import Scenario, aid_velocity, source_keys
+from jaxalign.vector import Quat, Vec3
+
+__all__ = ["Intervals", "intervals_of", "measure_epochs"]
+
+
+class Intervals(eqx.Module):
+    """A truth, preintegrated, and how errors of its samples enter: leaves with a first axis of M intervals.
+
+    Attributes:
+        rotation: from b at the end to b at the start.
+        dvel: velocity increments, m/s.
+        turned: (M, 3, 3) sum of R_j: d(rotation) by a constant error of the samples' rotations.
+        moved: (M, 3, 3) sum of [W_j x] R_j: minus d(velocity) by the same, m/s.
+        lever: mean of W_j, m/s.
+        scatter: (M, 3, 3) sum of |U|^2 I - U U^T over the samples, U_j = W_j - lever.
+        truth: it.
+        samples: per interval.
+    """
+
+    rotation: Quat
+    dvel: Vec3
+    turned: Float[Array, "m 3 3"]
+    moved: Float[Array, "m 3 3"]
+    lever: Vec3
+    scatter: Float[Array, "m 3 3"]
+    truth: Truth
+    samples: int = eqx.field(static=True)
+
+
+@eqx.filter_jit
+def intervals_of(truth: Truth, samples: int) -> Intervals:
+    """Preintegrate a truth (once) over intervals of so many samples."""
+    count = truth.dtheta.shape[0] // samples
+    th, dv = (x[: count * samples].reshape(count, samples, 3).swapaxes(0, 1) for x in (truth.dtheta, truth.dvel))
+
+    def turn(q: Quat, half: Quat) -> tuple[Quat, Quat]:
+        middle = q * half
+        return (middle * half).renormalised(), middle
+
+    start = jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), Quat.identity())
+    middle = jax.lax.scan(turn, start, Quat.exp(Vec3.of(th) * 0.5))[1]
+    r = middle.matrix.array  # (samples, M, 3, 3)
+    v = middle.rotate(Vec3.of(dv)).array
+    w = jnp.sum(v, 0) - jnp.cumsum(v, 0) + 0.5 * v
+    lever = jnp.mean(w, 0)
+    u = w - lever
+    scatter = jnp.sum(u * u, (0, 2))[:, None, None] * jnp.eye(3) - jnp.einsum("sma,smb->mab", u, u)
+    whole = preintegrate(truth.dtheta, truth.dvel, samples)
+    moved = jnp.sum(jnp.cross(w[..., None, :], r.swapaxes(-1, -2)), 0).swapaxes(-1, -2)
+    return Intervals(whole.rotation, whole.dvel, jnp.sum(r, 0), moved, Vec3.of(lever), scatter, truth, samples)
+
+
+def measure_epochs(intervals: Intervals, scenario: Scenario, key: PRNGKeyArray) -> Epochs:
+    """Epochs of one run: noise drawn per interval, biases, aid and faults those of :func:`measure` with the same key.
+
+    Pure: `jit` it with the intervals and the scenario as arguments, `vmap` it over keys.
+
+    Raises:
+        UserError: the scenario has a disturbance of the force, which is not white.
+    """
+    if scenario.force is not None:
+        raise UserError("a disturbed base needs noise at IMU rate: fidelity 'samples'")
+    dt, n = intervals.truth.dt, intervals.samples
+    count = intervals.dvel.x.shape[0]
+    gyro_key, accel_key, *_ = source_keys(key)
+    gyro, accel = (
+        e.draw_bias(jax.random.split(k)[0]) * dt for e, k in ((scenario.gyro, gyro_key), (scenario.accel, accel_key))
+    )
+    sd_gyro, sd_accel = scenario.gyro.increment_sd(dt), scenario.accel.increment_sd(dt)
+    # A draw of its own, flat: several times cheaper than with a last axis of six.
+    flat = jax.random.normal(jax.random.fold_in(gyro_key, 1), (6 * count,), jnp.float32).astype(jnp.float64)
+    z = flat.reshape(6, count)
+    tilt = Vec3(z[0], z[1], z[2]) * (sd_gyro * jnp.sqrt(float(n)))
+    root = _root(intervals.scatter * sd_gyro**2 + n * sd_accel**2 * jnp.eye(3))
+    speed = Vec3(
+        root[0][0] * z[3],
+        root[1][0] * z[3] + root[1][1] * z[4],
+        root[2][0] * z[3] + root[2][1] * z[4] + root[2][2] * z[5],
+    )
+    speed = speed - intervals.lever.cross(tilt)
+    tilt = tilt + Vec3.of(intervals.turned @ gyro)
+    speed = speed + Vec3.of(intervals.turned @ accel - intervals.moved @ gyro)
+    moved = Increment(Quat.exp(tilt) * intervals.rotation, intervals.dvel + speed)
+    still = Increment(Quat.identity(), Vec3.zero())
+    rows = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), still, moved)
+    steps = jnp.concatenate([jnp.zeros(1), jnp.full(count, n * dt)])
+    safe, valid = _aid(intervals.truth, scenario, key, n, count)
+    interval = float(f"{n / scenario.imu_rate:.4g}")
+    return Epochs(
+        Epoch(rows.rotation, rows.dvel, steps, safe, valid), scenario.site, scenario.aid_sd, scenario.aid, interval
+    )
+
+
+def _aid(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: int, count: int) -> tuple[Vec3, Array]:
+    """Velocities at the epochs, any number where there is none, and where there is one."""
+    velocity = aid_velocity(truth, scenario, key)
+    if velocity is None:
+        return jax.tree.map(lambda x: jnp.zeros(count + 1) + x, Vec3.zero()), jnp.ones(count + 1, bool)
+    ratio = scenario.aid_every // samples
+    if ratio > 1:  # epochs between two fixes have no aid
+        velocity = jnp.full((count + 1, 3), jnp.nan).at[::ratio].set(velocity)
+    valid = jnp.all(jnp.isfinite(velocity), axis=-1)
+    return Vec3.of(jnp.where(valid[:, None], velocity, 0.0)), valid
+
+
+def _root(m: Array) -> Any:
+    """Lower Cholesky factors (M, 3, 3), by components; zero where the matrix is zero."""
+
+    def root(x: Array) -> Array:
+        ok = x > 0
+        return jnp.where(ok, jnp.sqrt(jnp.where(ok, x, 1.0)), 0.0)
+
+    def over(x: Array, y: Array) -> Array:
+        return jnp.where(y > 0, x / jnp.where(y > 0, y, 1.0), 0.0)
+
+    a = root(m[:, 0, 0])
+    b, c = over(m[:, 1, 0], a), over(m[:, 2, 0], a)
+    d = root(m[:, 1, 1] - b * b)
+    e = over(m[:, 2, 1] - b * c, d)
+    return (a,), (b, d), (c, e, root(m[:, 2, 2] - c * c - e * e))

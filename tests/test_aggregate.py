@@ -1,0 +1,120 @@
+"""Noise per interval: the distribution of noise per sample, to first order."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxalign import UserError, epochs_from_arrays
+from jaxalign.simulate import intervals_of, measure, measure_epochs, noiseless, scenario, truth
+from jaxalign.vector import Quat
+
+SECONDS, SAMPLES = 8.0, 200
+
+
+def problem(name="dvl-sway", **options):
+    made = scenario(name, duration=SECONDS, **options)
+    exact = truth(made)
+    return made, exact, intervals_of(exact, SAMPLES)
+
+
+def keys(runs, seed=1):
+    return jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(jnp.arange(runs))
+
+
+def from_samples(made, exact, key):
+    dtheta, dvel, velocity = measure(exact, made, key)
+    fixed = {"dt": 1.0 / made.imu_rate, "every": SAMPLES, "site": made.site, "aid": made.aid}
+    return epochs_from_arrays(dtheta, dvel, velocity, aid_sd=made.aid_sd, **fixed)
+
+
+def increments(epochs, intervals):
+    """(..., intervals, 6) errors of rotation (rad) and velocity (m/s) in b at the start of each interval."""
+    turned = Quat.of(epochs.rows.rotation.array[..., 1:, :]) * intervals.rotation.conjugate()
+    return np.concatenate([turned.log().array, epochs.rows.dvel.array[..., 1:, :] - intervals.dvel.array], axis=-1)
+
+
+def test_perfect_sensors():
+    made, exact, intervals = problem()
+    clean = noiseless(made)
+    found, expected = measure_epochs(intervals, clean, jax.random.key(0)), from_samples(clean, exact, jax.random.key(0))
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
+    assert (found.aid, found.interval) == (expected.aid, expected.interval)
+
+
+def test_biases_enter_to_first_order():
+    """Large ones, on a base that swings by 10 deg: what is left is their square and the coning of the bias."""
+    made, exact, intervals = problem(bias="fixed")
+    quiet = noiseless(made)
+    gyro = eqx.tree_at(lambda e: e.bias, quiet.gyro, jnp.array([3e-6, -2e-6, 1e-6]))
+    accel = eqx.tree_at(lambda e: e.bias, quiet.accel, jnp.array([2e-3, 1e-3, -3e-3]))
+    biased = dataclasses.replace(quiet, gyro=gyro, accel=accel)
+    found, expected = (
+        increments(e, intervals)
+        for e in (measure_epochs(intervals, biased, jax.random.key(0)), from_samples(biased, exact, jax.random.key(0)))
+    )
+    assert np.abs(expected[:, :3]).max() > 2e-6
+    assert np.abs(expected[:, 3:]).max() > 2e-3
+    np.testing.assert_allclose(found[:, :3], expected[:, :3], atol=1e-3 * 3e-6)
+    np.testing.assert_allclose(found[:, 3:], expected[:, 3:], atol=1e-3 * 3e-3)
+
+
+def test_the_same_run_has_the_same_biases_and_aid():
+    made, exact, intervals = problem(outliers="fixed", gaps=((2.0, 3.0),))
+    key = jax.random.key(5)
+    found, expected = measure_epochs(intervals, made, key), from_samples(made, exact, key)
+    np.testing.assert_array_equal(found.rows.valid, expected.rows.valid)
+    assert not np.asarray(found.rows.valid)[2:4].any()
+    np.testing.assert_array_equal(found.rows.velocity.array, expected.rows.velocity.array)
+
+
+def test_covariance_is_that_of_the_samples():
+    """Noise of the samples, whitened with the covariance of the intervals: unit variances, no correlation."""
+    runs = 1500
+    made, exact, intervals = problem()
+    bare = dataclasses.replace(
+        made,
+        gyro=eqx.tree_at(lambda e: e.bias, made.gyro, jnp.zeros(3)),
+        # So much gyro noise that its lever shows beside that of the accelerometers.
+        accel=eqx.tree_at(lambda e: (e.bias, e.density), made.accel, (jnp.zeros(3), made.accel.density / 30)),
+    )
+    sampled = jax.jit(lambda ks: jax.lax.map(lambda k: from_samples(bare, exact, k), ks, batch_size=50))(keys(runs))
+    drawn = eqx.filter_jit(jax.vmap(lambda k: measure_epochs(intervals, bare, k)))(keys(runs, seed=2))
+    sampled, drawn = increments(sampled, intervals), increments(drawn, intervals)
+    for k in range(sampled.shape[1]):
+        dt, n = float(exact.dt), SAMPLES
+        sg, sa = float(bare.gyro.increment_sd(dt)), float(bare.accel.increment_sd(dt))
+        lever = np.asarray(intervals.lever.array)[k]
+        cross = np.array([[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]], [-lever[1], lever[0], 0]])
+        speed = sg**2 * np.asarray(intervals.scatter)[k] + n * sa**2 * np.eye(3) + n * sg**2 * cross @ cross.T
+        covariance = np.block([[n * sg**2 * np.eye(3), n * sg**2 * cross], [n * sg**2 * cross.T, speed]])
+        white = np.linalg.inv(np.linalg.cholesky(covariance))
+        for errors in (sampled[:, k], drawn[:, k]):
+            z = errors @ white.T
+            assert np.abs(z.T @ z / runs - np.eye(6)).max() < 5 * np.sqrt(2 / runs)
+            assert np.abs(z.mean(axis=0)).max() < 4.5 / np.sqrt(runs)
+
+
+def test_a_disturbance_needs_samples():
+    made = scenario("disturbed", duration=SECONDS)
+    with pytest.raises(UserError, match="at IMU rate"):
+        measure_epochs(intervals_of(truth(made), 20), made, jax.random.key(0))
+
+
+def test_differentiable_in_the_sensors():
+    made, _, intervals = problem()
+
+    def size(density):
+        some = eqx.tree_at(lambda s: s.gyro.density, made, density)
+        return jnp.sum(measure_epochs(intervals, some, jax.random.key(3)).rows.dvel.x)
+
+    at = made.gyro.density
+    slope = jax.grad(size)(at)
+    for h in (1e-2, 1e-3):
+        numeric = (size(at * (1 + h)) - size(at * (1 - h))) / (2 * h * at)
+        np.testing.assert_allclose(slope, numeric, rtol=1e-4)
+    assert np.isfinite(jax.grad(size)(jnp.zeros(())))
