@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -27,6 +28,7 @@ from experiments.vondrak_disturbed_base.smoothing import (  # noqa: E402
     objectives,
 )
 
+T = TypeVar("T")
 STARTS = (0.015, 0.5, 50.0)
 ALIGNED = 600.0
 INTRODUCTION = """\
@@ -70,18 +72,26 @@ def drives(runs: int, seed: int) -> Aligned:
     return out
 
 
+def apart(part: Callable[[], T]) -> T:
+    """Do a part, then give back its programs: each maps memory, and Linux allows a process 65530 maps."""
+    try:
+        return part()
+    finally:
+        jax.clear_caches()
+
+
 def study(runs: int, seed: int) -> Page:
     """Everything, and the page on it."""
     real = repeatability.find(Path(os.environ.get("JAXALIGN_SHARED", Path(__file__).parents[3] / "shared")))
     few = runs < 10  # to see that it works: one condition of the search, the longest segments
-    ten = simulated.ten_tests(min(10, runs), seed)
-    many = simulated.hundred(runs, seed)
-    swept = simulated.sweep(max(2, runs // 2), seed)
-    pairs = simulated.two_vectors(max(2, runs // 5), seed)
-    chosen = search(seed, (2,) if few else simulated.CONDITIONS)
-    driven = drives(max(2, runs // 10), seed)
     lengths = repeatability.LENGTHS[-1:] if few else repeatability.LENGTHS
-    segments = {} if real is None else repeatability.repeatability(real, lengths)
+    ten = apart(lambda: simulated.ten_tests(min(10, runs), seed))
+    many = apart(lambda: simulated.hundred(runs, seed))
+    swept = apart(lambda: simulated.sweep(max(2, runs // 2), seed))
+    pairs = apart(lambda: simulated.two_vectors(max(2, runs // 5), seed))
+    chosen = apart(lambda: search(seed, (2,) if few else simulated.CONDITIONS))
+    driven = apart(lambda: drives(max(2, runs // 10), seed))
+    segments = {} if real is None else apart(lambda: repeatability.repeatability(real, lengths))
     page = Page()
     page.add(
         "# Vondrak's filter on a disturbed base",

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from experiments.progress import Progress
@@ -75,6 +76,7 @@ def repeatability(path: Path, lengths: tuple[float, ...] = LENGTHS) -> dict[tupl
             starts = np.arange(int(whole.duration // length)) * length
             expected = _reference(whole, list(starts + length))
             for scheme, prefilter in SCHEMES.items():
+                jax.clear_caches()  # every method behind this filter is another program; Linux limits their memory maps
                 for label, make in METHODS.items():
                     method, samples = make()
                     found = []
