@@ -16,7 +16,7 @@ into vector pairs, reconstructs, weighs and accumulates them, and reads out atti
 of it a :mod:`jaxalign.prefilter` may smooth the force of a standing vehicle.
 """
 
-from jaxalign import earth, io, methods, metrics, prefilter, rotation, simulate
+from jaxalign import earth, io, methods, metrics, prefilter, rotation, simulate, study
 from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
@@ -107,6 +107,7 @@ __all__ = [
     "read",
     "rotation",
     "simulate",
+    "study",
     "tunable",
     "with_parameters",
 ]

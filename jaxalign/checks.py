@@ -91,8 +91,11 @@ def bad_run(x: np.ndarray) -> tuple[int, int, int] | None:
     return len(bad), int(bad[0]), int(breaks[0]) + 1 if len(breaks) else len(bad)
 
 
+_FARTHEST = np.pi / 2  # in one sample: two of them are integrated as one turn of at most half a circle
+
+
 def increments(name: str, key: str, value: Any, dt: float) -> np.ndarray:
-    """(N, 3) finite float64; float32 is refused."""
+    """(N, 3) finite float64, rotations of less than a quarter of a circle; float32 is refused."""
     array = np.asarray(value)
     if array.dtype.kind == "f" and array.dtype.itemsize < 8:
         raise UserError(
@@ -110,6 +113,13 @@ def increments(name: str, key: str, value: Any, dt: float) -> np.ndarray:
             f"{name}: {key} has NaN or infinity in {count} rows; the first run is {length} long at row "
             f"{first} "
             f"(counted from 0; {first * dt:.6g} s): cut the log there or fill them"
+        )
+    turned = np.linalg.norm(array, axis=1) if key == "dtheta" else np.zeros(1)
+    if turned.max(initial=0.0) > _FARTHEST:
+        row = int(np.argmax(turned))
+        raise UserError(
+            f"{name}: dtheta turns by {np.rad2deg(turned[row]):.0f} deg within the one sample of row {row}: rotation "
+            "increments in rad are expected, not rates or degrees"
         )
     return array
 

@@ -17,6 +17,7 @@ __all__ = [
     "EARTH_RATE",
     "SEMI_MAJOR_AXIS",
     "STANDARD_GRAVITY",
+    "Parallel",
     "Site",
     "earth_rate",
     "normal_gravity",
@@ -66,30 +67,70 @@ class Site(eqx.Module):
         return normal_gravity(self.lat, self.h) + self.anomaly
 
 
+class Parallel(eqx.Module):
+    """A circle of latitude by its sine and cosine: a vehicle that moves needs no trigonometry at each step.
+
+    Attributes:
+        sin: sine of the latitude.
+        cos: its cosine.
+    """
+
+    sin: Any
+    cos: Any
+
+    @classmethod
+    def of(cls, lat: Any) -> Parallel:
+        """The circle of a latitude (rad)."""
+        return cls(jnp.sin(lat), jnp.cos(lat))
+
+    def moved(self, angle: Any) -> Parallel:
+        """Further north by a small angle (rad): exact to rounding up to 0.01 rad, or 60 km."""
+        square = angle * angle
+        sin, cos = angle * (1.0 - square * (1.0 - square / 20.0) / 6.0), 1.0 - square * (0.5 - square / 24.0)
+        return Parallel(self.sin * cos + self.cos * sin, self.cos * cos - self.sin * sin)
+
+    @property
+    def radii(self) -> tuple[Any, Any]:
+        """Radii of curvature in the meridian and in the prime vertical (m)."""
+        x = 1.0 - ECCENTRICITY2 * self.sin**2
+        prime_vertical = SEMI_MAJOR_AXIS / jnp.sqrt(x)
+        return prime_vertical * (1.0 - ECCENTRICITY2) / x, prime_vertical
+
+    def normal_gravity(self, h: Any) -> Any:
+        """Normal gravity (m/s^2): Somigliana at the ellipsoid, second order in the height (WGS-84)."""
+        s2 = self.sin**2
+        surface = _GRAVITY_EQUATOR * (1.0 + _SOMIGLIANA * s2) / jnp.sqrt(1.0 - ECCENTRICITY2 * s2)
+        x = h / SEMI_MAJOR_AXIS
+        slope = 1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * s2
+        return surface * (1.0 - 2.0 * slope * x + 3.0 * x * x)
+
+    @property
+    def earth_rate(self) -> Vec3:
+        """Rotation of the Earth w_ie in n (rad/s)."""
+        return Vec3(jnp.zeros_like(self.sin), EARTH_RATE * self.cos, EARTH_RATE * self.sin)
+
+    def transport_rate(self, h: Any, velocity: Vec3) -> Vec3:
+        """Rotation w_en of n over the Earth (rad/s) for a velocity in n (m/s); infinite at the poles."""
+        meridian, prime_vertical = self.radii
+        east = velocity.x / (prime_vertical + h)
+        return Vec3(-velocity.y / (meridian + h), east, east * (self.sin / self.cos))
+
+
 def radii(lat: Any) -> tuple[Any, Any]:
     """Radii of curvature in the meridian and in the prime vertical (m)."""
-    x = 1.0 - ECCENTRICITY2 * jnp.sin(lat) ** 2
-    prime_vertical = SEMI_MAJOR_AXIS / jnp.sqrt(x)
-    return prime_vertical * (1.0 - ECCENTRICITY2) / x, prime_vertical
+    return Parallel.of(lat).radii
 
 
 def normal_gravity(lat: Any, h: Any = 0.0) -> Any:
     """Normal gravity (m/s^2): Somigliana at the ellipsoid, second order in the height (WGS-84)."""
-    s2 = jnp.sin(lat) ** 2
-    surface = _GRAVITY_EQUATOR * (1.0 + _SOMIGLIANA * s2) / jnp.sqrt(1.0 - ECCENTRICITY2 * s2)
-    x = h / SEMI_MAJOR_AXIS
-    slope = 1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * s2
-    return surface * (1.0 - 2.0 * slope * x + 3.0 * x * x)
+    return Parallel.of(lat).normal_gravity(h)
 
 
 def earth_rate(lat: Any) -> Vec3:
     """Rotation of the Earth w_ie in n (rad/s)."""
-    lat = jnp.asarray(lat)
-    return Vec3(jnp.zeros_like(lat), EARTH_RATE * jnp.cos(lat), EARTH_RATE * jnp.sin(lat))
+    return Parallel.of(lat).earth_rate
 
 
 def transport_rate(lat: Any, h: Any, velocity: Vec3) -> Vec3:
     """Rotation w_en of n over the Earth (rad/s) for a velocity in n (m/s); infinite at the poles."""
-    meridian, prime_vertical = radii(lat)
-    east = velocity.x / (prime_vertical + h)
-    return Vec3(-velocity.y / (meridian + h), east, east * jnp.tan(lat))
+    return Parallel.of(lat).transport_rate(h, velocity)

@@ -75,7 +75,7 @@ def advance(state: NavState, increment: Increment, dt: Any, anomaly: Any = 0.0, 
         turn = (w_ie + w_en) * (-dt)
         down = Vec3(0.0 * dt, 0.0 * dt, -(normal_gravity(lat, h) + anomaly))
         after = state.velocity + mean_rotated(turn, force) + (down - (w_ie * 2.0 + w_en).cross(v)) * dt
-    q_nb = (Quat.exp(turn) * state.q_nb * increment.rotation).renormalised()
+    q_nb = (Quat.turn(turn) * state.q_nb * increment.rotation).renormalised()
     if held:
         return NavState(q_nb, after, state.lat, state.lon, state.h)
     v, lat, h = middle(after)

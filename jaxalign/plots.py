@@ -16,7 +16,9 @@ from jaxalign.solution import Solution, Status
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["attitude", "compare", "require"]
+    from jaxalign.study import Result
+
+__all__ = ["attitude", "compare", "require", "study"]
 
 _GREY = "0.6"
 
@@ -176,4 +178,31 @@ def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure
         axis.legend(loc="upper right", fontsize="small")
     axes[-1].set_xlabel("time (s)")
     figure.suptitle(title or log.name)
+    return figure
+
+
+def study(result: Result) -> Figure:
+    """Root mean square errors of a study over time, with their standard errors, and the share of good headings.
+
+    Args:
+        result: of :func:`jaxalign.study.run`.
+    """
+    figure, axes = _figure(4, 11)
+    for label, method in result.methods.items():
+        time = method.time_s
+        for i, axis in enumerate(axes[:3]):
+            rmse, error = method.rmse.value[:, i], method.rmse.error[:, i]
+            (line,) = axis.plot(time, rmse, label=label)
+            axis.fill_between(time, rmse - 2 * error, rmse + 2 * error, color=line.get_color(), alpha=0.25, linewidth=0)
+        axes[3].plot(time, 100.0 * method.within.value[:, 2], label=label)
+    for axis, name in zip(axes, ("pitch", "roll", "yaw"), strict=False):
+        axis.set_yscale("log")
+        axis.set_ylabel(f"{name} RMSE (deg)")
+    axes[3].set_ylabel(f"runs with yaw within\n{result.study.tolerance_deg:g} deg (%)")
+    axes[3].set_ylim(-3, 103)
+    axes[3].set_xlabel("time (s)")
+    for axis in axes:
+        axis.grid(True, which="both", color="0.9", linewidth=0.6)
+    axes[0].legend(loc="upper right", fontsize="small", ncols=2)
+    axes[0].set_title(f"{result.title}; bands: two standard errors", fontsize="medium")
     return figure

@@ -60,8 +60,8 @@ class Increment(eqx.Module):
         by half the rotation.
         """
         turn = gyro_bias * dt
-        half = Quat.exp(turn * -0.5)
-        middle = Quat.exp(self.rotation.log() * 0.5)
+        half = Quat.turn(turn * -0.5)
+        middle = Quat.turn(self.rotation.log() * 0.5)
         dvel = self.dvel - middle.rotate(accel_bias) * dt - turn.cross(self.dvel) * 0.5
         return Increment(half * self.rotation * half, dvel)
 
@@ -75,19 +75,19 @@ def _mean_rotated_series(rotvec: Vec3, v: Vec3) -> Vec3:
 def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated) -> Increment:
     total = th1 + th2
     dvel = turned(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
-    return Increment(Quat.exp(total + th1.cross(th2) * (2 / 3)), dvel)
+    return Increment(Quat.turn(total + th1.cross(th2) * (2 / 3)), dvel)
 
 
 def _plain_pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
     """Xu 2020 (15) and (17): no coning term, rotation of the velocity increment to first order."""
     th, dv = th1 + th2, dv1 + dv2
-    return Increment(Quat.exp(th), dv + th.cross(dv) * 0.5 + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3))
+    return Increment(Quat.turn(th), dv + th.cross(dv) * 0.5 + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3))
 
 
 def _single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
     th_, dv_ = before
     dvel = mean_rotated(th, dv) + (th_.cross(dv) + dv_.cross(th)) * (1 / 12)
-    return Increment(Quat.exp(th + th_.cross(th) * (1 / 12)), dvel)
+    return Increment(Quat.turn(th + th_.cross(th) * (1 / 12)), dvel)
 
 
 def _compose(samples: Increment) -> Increment:

@@ -10,6 +10,7 @@ Quaternions are Hamilton, scalar first; ``q.rotate(v)`` is ``q v q*``: with ``q 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -126,14 +127,22 @@ def _sinc_like(angle2: Any, exact: Any, series: tuple[float, ...]) -> Any:
     return jnp.where(small, near, exact(angle))
 
 
+def _alternating(x: Any, first: int, terms: int = 14) -> Any:
+    """``sum (-x)^k / (2 k + first)!``: cos, sin and their kin of the root of x, without root, division or branch.
+
+    Fourteen terms are exact to rounding up to x = pi^2, four up to 5e-4.
+    """
+    total = 0.0 * x
+    for k in range(terms - 1, -1, -1):
+        total = total * x + (-1) ** k / math.factorial(2 * k + first)
+    return total
+
+
 def mean_rotated(rotvec: Vec3, v: Vec3) -> Vec3:
-    """The mean of ``exp([r x]) v`` as r goes evenly from zero to ``rotvec`` (rad)."""
+    """The mean of ``exp([r x]) v`` as r goes evenly from zero to ``rotvec`` (rad; at most half a turn)."""
     angle2 = rotvec.norm2()
-    # 1 - cos(a) = 2 sin^2(a/2) without the cancellation: the plain form errs by 6e-14 |v| at 1e-3 rad
-    first = _sinc_like(angle2, lambda a: 2 * (jnp.sin(a / 2) / a) ** 2, (1 / 2, -1 / 24, 1 / 720))
-    second = _sinc_like(angle2, lambda a: (a - jnp.sin(a)) / a**3, (1 / 6, -1 / 120, 1 / 5040))
     turned = rotvec.cross(v)
-    return v + turned * first + rotvec.cross(turned) * second
+    return v + turned * _alternating(angle2, 2) + rotvec.cross(turned) * _alternating(angle2, 3)
 
 
 @jax.tree_util.register_dataclass
@@ -166,6 +175,19 @@ class Quat:
         scale = _sinc_like(angle2, lambda a: jnp.sin(a / 2) / a, (1 / 2, -1 / 48, 1 / 3840))
         w = _sinc_like(angle2, lambda a: jnp.cos(a / 2), (1.0, -1 / 8, 1 / 384))
         return cls(w, rotvec.x * scale, rotvec.y * scale, rotvec.z * scale)
+
+    @classmethod
+    def turn(cls, rotvec: Vec3, slow: bool = False) -> Quat:
+        """:meth:`exp` of at most one turn, several times faster: for increments.
+
+        Args:
+            rotvec: rad.
+            slow: it is below 0.05 rad, as the Earth turns in ten minutes: fewer terms.
+        """
+        half = rotvec * 0.5
+        square, terms = half.norm2(), 4 if slow else 14
+        scale = _alternating(square, 1, terms)
+        return cls(_alternating(square, 0, terms), half.x * scale, half.y * scale, half.z * scale)
 
     @property
     def array(self) -> Float[Array, "*shape 4"]:

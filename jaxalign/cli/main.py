@@ -16,7 +16,7 @@ from jaxalign.errors import UserError
 
 __all__ = ["entry", "main", "parser"]
 
-_COMMANDS = ("align", "info", "methods", "simulate")
+_COMMANDS = ("align", "info", "methods", "simulate", "study")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -48,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)  # an application may; the library itself never does
     options = parser().parse_args(arguments)
     try:
+        if hasattr(options, "devices"):
+            options.devices(options)
         _require_device(jax)
         code = options.run(options)
         sys.stdout.flush()

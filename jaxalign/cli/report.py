@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from jaxalign.errors import UserError
 
 if TYPE_CHECKING:
     from jaxalign.log import Log
+    from jaxalign.simulate import Scenario
 
-__all__ = ["add_log_arguments", "assignments", "read_log", "table"]
+__all__ = ["add_log_arguments", "add_scenario_argument", "assignments", "chosen_scenario", "read_log", "table"]
 
 
 def add_log_arguments(command: argparse.ArgumentParser) -> None:
@@ -58,6 +59,31 @@ def assignments(texts: Sequence[str]) -> dict[str, str]:
             raise UserError(f"--set {name} is given twice")
         out[name] = value.strip()
     return out
+
+
+def add_scenario_argument(command: argparse.ArgumentParser, **how: Any) -> None:
+    """SCENARIO."""
+    command.add_argument(
+        "scenario",
+        metavar="SCENARIO",
+        help="name (see `jaxalign simulate --list`), or a TOML file (`python -m pydoc jaxalign.simulate.file`)",
+        **how,
+    )
+
+
+def chosen_scenario(text: str, options: Mapping[str, str]) -> Scenario:
+    """The scenario of a name with its options, or of a TOML file.
+
+    Raises:
+        UserError: unknown, a bad file, or options for a file.
+    """
+    from jaxalign.simulate import scenario, scenario_file
+
+    if not text.endswith(".toml"):
+        return scenario(text, **options)
+    if options:
+        raise UserError(f"--set {next(iter(options))}: options of a scenario from a file stand in the file ({text})")
+    return scenario_file(text)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -10,6 +10,8 @@ __all__ = ["add"]
 
 def add(commands: Any) -> None:
     """Add the sub-command."""
+    from jaxalign.cli.report import add_scenario_argument
+
     command = commands.add_parser(
         "simulate",
         help="write a synthetic log of a named scenario",
@@ -19,7 +21,7 @@ def add(commands: Any) -> None:
         "gaps=[[30,40]] drops the aid between two times (s); bias=sign|gaussian|fixed; duration=120. A wrong "
         "value names the right ones.",
     )
-    command.add_argument("scenario", nargs="?", metavar="SCENARIO", help="name (see --list)")
+    add_scenario_argument(command, nargs="?")
     command.add_argument("--list", action="store_true", help="list the scenarios and their options")
     command.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default 0)")
     command.add_argument(
@@ -35,10 +37,10 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from jaxalign.cli.report import assignments
+    from jaxalign.cli.report import assignments, chosen_scenario
     from jaxalign.errors import UserError
     from jaxalign.io import write_npz
-    from jaxalign.simulate import scenario, scenario_options, scenarios, simulate
+    from jaxalign.simulate import scenario_options, scenarios, simulate
 
     if options.list:
         for name, summary in scenarios().items():
@@ -47,7 +49,7 @@ def _run(options: argparse.Namespace) -> int:
         return 0
     if options.scenario is None:
         raise UserError(f"name a scenario: {', '.join(scenarios())}")
-    made = scenario(options.scenario, **assignments(options.set))
+    made = chosen_scenario(options.scenario, assignments(options.set))
     if options.output is None:
         raise UserError("say where to write the log: --output LOG.npz")
     log = simulate(made, options.seed, noise=not options.no_noise)

@@ -202,7 +202,7 @@ class ErrorFilter(eqx.Module):
         heading = state.heading
         if self.form == "standing":
             heading, error = error[_UP], error.at[_UP].set(0.0)
-        q_nb = (Quat.exp(Vec3.of(error[PSI])) * nav.q_nb).renormalised()
+        q_nb = (Quat.turn(Vec3.of(error[PSI])) * nav.q_nb).renormalised()
         velocity = nav.velocity - Vec3.of(error[VELOCITY])
         lat, lon, h = nav.lat, nav.lon, nav.h
         if not held:

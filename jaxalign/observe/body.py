@@ -76,7 +76,7 @@ class BodyVelocity(AbstractObserve):
     def init(self, site: Site, interval: float) -> Any:
         """State before the first epoch (see the base class)."""
         sums = Sums.zero(moment=self.coupled)
-        zero, none, place = Vec3.zero(), Quat.identity(), Place(site)
+        zero, none, place = Vec3.zero(), Quat.identity(), Place.of(site)
         held = window(self.window, interval, sums)
         return _State(none, none, place, zero, zero, sums, held, zero, zero, zero, zero.x, place.earth_rate)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxalign.earth import Site, earth_rate, radii, transport_rate
+from jaxalign.earth import Parallel, Site
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["Place", "gravity_impulse", "turn"]
@@ -18,33 +18,38 @@ class Place(eqx.Module):
     The height stays that of the start: 100 m change gravity by 3e-5 of itself, along the vertical.
     """
 
-    site: Site
+    parallel: Parallel
+    h: Any
+    anomaly: Any
+
+    @classmethod
+    def of(cls, site: Site) -> Place:
+        """Where the vehicle is switched on."""
+        return cls(Parallel.of(site.lat), site.h, site.anomaly)
 
     def moved(self, velocity: Vec3, dt: Any) -> Place:
         """After ``dt`` seconds at a velocity in n (m/s)."""
-        site = self.site
-        meridian, _ = radii(site.lat)
-        lat = site.lat + velocity.y * dt / (meridian + site.h)
-        return Place(eqx.tree_at(lambda s: s.lat, site, lat))
+        meridian, _ = self.parallel.radii
+        return Place(self.parallel.moved(velocity.y * dt / (meridian + self.h)), self.h, self.anomaly)
 
     @property
     def gravity(self) -> Any:
         """Local gravity, m/s^2."""
-        return self.site.gravity
+        return self.parallel.normal_gravity(self.h) + self.anomaly
 
     @property
     def earth_rate(self) -> Vec3:
         """w_ie in n, rad/s."""
-        return earth_rate(self.site.lat)
+        return self.parallel.earth_rate
 
     def transport_rate(self, velocity: Vec3) -> Vec3:
         """w_en in n, rad/s."""
-        return transport_rate(self.site.lat, self.site.h, velocity)
+        return self.parallel.transport_rate(self.h, velocity)
 
 
 def turn(q_n0n: Quat, rate: Vec3, dt: Any) -> Quat:
     """N after ``dt`` seconds at a constant rate ``w_in`` (rad/s, in n)."""
-    return (q_n0n * Quat.exp(rate * dt)).renormalised()
+    return (q_n0n * Quat.turn(rate * dt, slow=True)).renormalised()
 
 
 def gravity_impulse(rate: Vec3, gravity: Any, dt: Any) -> Vec3:

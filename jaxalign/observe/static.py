@@ -59,7 +59,7 @@ class Static(AbstractObserve):
         state = window(self.window, interval, sums)
         if self.vectors == "instantaneous":
             state = Previous(window(0.0, interval, sums), sums)  # type: ignore[arg-type]
-        place = Place(site)
+        place = Place.of(site)
         return _State(Quat.identity(), Quat.identity(), sums, state, place.earth_rate, place.gravity)
 
     def step(self, state: Any, context: Context, epoch: Epoch) -> tuple[Any, Pair]:

@@ -44,7 +44,7 @@ def filtered_force(
         middle = q * half
         return (middle * half).renormalised(), middle
 
-    halves = Quat.exp(Vec3.of(dtheta) * 0.5)
+    halves = Quat.turn(Vec3.of(dtheta) * 0.5)
     q = jax.lax.scan(turn, Quat.identity(), halves)[1]
     still = prefilter(q.rotate(Vec3.of(dvel)).array, dt)
     return q.conjugate().rotate(Vec3.of(still)).array

@@ -4,12 +4,14 @@
     measure(truth, scenario, key)      per run: pure, `vmap` it over keys
     measure_epochs(intervals_of(truth, samples), scenario, key)   the same, noise drawn per interval: far cheaper
     simulate("dvl-sturn", seed=1)      both, as a `Log`
+    scenario_file("harbour.toml")      a scenario of one's own
 
 A new motion is a `Trajectory` of signals; a new fault of the aid is a module ``(key, t, error) -> error``.
 """
 
 from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs
 from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+from jaxalign.simulate.file import scenario_file
 from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
 from jaxalign.simulate.measurement import (
     Scenario,
@@ -74,6 +76,7 @@ __all__ = [
     "noiseless",
     "s_turn",
     "scenario",
+    "scenario_file",
     "scenario_options",
     "scenarios",
     "simulate",

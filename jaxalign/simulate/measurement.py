@@ -21,6 +21,7 @@ from jaxalign.precision import require_x64
 from jaxalign.simulate.arguments import choice, leaf
 from jaxalign.simulate.faults import AbstractFault
 from jaxalign.simulate.imu import Truth, jitted_increments
+from jaxalign.simulate.random import fold
 from jaxalign.simulate.sensors import SineForce, TriadErrors, white
 from jaxalign.simulate.trajectory import Trajectory
 
@@ -124,7 +125,7 @@ def source_keys(key: PRNGKeyArray) -> tuple[PRNGKeyArray, ...]:
 
     Each source has its own, so that switching one on leaves the draws of the others alone.
     """
-    return tuple(jax.random.fold_in(key, i) for i in range(5))
+    return tuple(fold(key, i) for i in range(5))
 
 
 def imu_increments(
@@ -140,10 +141,10 @@ def imu_increments(
     return dtheta, dvel
 
 
-def aid_velocity(truth: Truth, scenario: Scenario, key: PRNGKeyArray) -> Float[Array, "m 3"] | None:
-    """Velocities of the aid (m/s) in one run, NaN in gaps; None for a "static" one.
+def aid_velocity(truth: Truth, scenario: Scenario, key: PRNGKeyArray) -> Float[Array, "m 3 *runs"] | None:
+    """Velocities of the aid (m/s) in one run, or in one run per key; NaN in gaps; None for a "static" one.
 
-    Pure; `vmap` it over keys. The same draws as in `measure` with the same key.
+    Pure. The same draws as in `measure` with the same key.
     """
     if scenario.aid == "static":
         return None
@@ -151,8 +152,9 @@ def aid_velocity(truth: Truth, scenario: Scenario, key: PRNGKeyArray) -> Float[A
     exact = truth.velocity_b if scenario.aid == "body" else truth.velocity_n
     error = white(noise, exact.shape[0]) * scenario.aid_sd
     for i, fault in enumerate(scenario.faults):
-        error = fault(jax.random.fold_in(faults, i), truth.t, error)
-    return exact + error
+        spoil = fault if key.ndim == 0 else jax.vmap(fault, (0, None, -1), -1)
+        error = spoil(fold(faults, i), truth.t, error)
+    return exact.reshape(*exact.shape, *(1 for _ in key.shape)) + error
 
 
 def measure(

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.simulate.arguments import choice, leaf
+from jaxalign.simulate.random import normals
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
 __all__ = ["BiasKind", "SineForce", "TriadErrors", "accel_errors", "gyro_errors", "white"]
@@ -23,13 +24,13 @@ BiasKind = Literal["sign", "gaussian", "fixed"]
 _KINDS = ("sign", "gaussian", "fixed")
 
 
-def white(key: PRNGKeyArray, count: int) -> Float[Array, "count 3"]:
-    """Unit white noise on three axes.
+def white(key: PRNGKeyArray, count: int) -> Float[Array, "count 3 *runs"]:
+    """Unit white noise on three axes, for one key or an array of them.
 
     Drawn as one flat float32 vector (several times cheaper than float64, and fine enough for a noise), then
     widened.
     """
-    return jax.random.normal(key, (3 * count,), jnp.float32).astype(jnp.float64).reshape(count, 3)
+    return normals(key, 3 * count).astype(jnp.float64).reshape(count, 3, *key.shape)
 
 
 class TriadErrors(eqx.Module):

@@ -1,0 +1,309 @@
+"""Scenarios of one's own from a TOML file.
+
+    name = "harbour"
+    base = "dvl-sturn"           # a named scenario to start from, with its options; what follows replaces its parts
+    options = { outliers = "fixed" }
+
+    duration = 300.0             # s
+    imu_rate = 200.0             # Hz
+    epoch = 1.0                  # s: of the aid, or of the vectors of a standing vehicle
+    aid = "body"                 # "body", "nav" or "static"
+    aid_sd = 0.1                 # m/s
+
+    [site]
+    lat_deg = 54.3               # with lon_deg, h (m)
+
+    [gyro]                       # per axis or three numbers
+    bias_deg_h = 0.02
+    walk_deg_sqrt_h = 0.005
+    noise_deg_h = 0.0            # per sample
+    bias = "sign"                # how a run draws it: sign, gaussian, fixed
+
+    [accel]
+    bias_ug = 50.0
+    density_ug_sqrt_hz = 50.0    # also noise_ug, bias
+
+    [[faults]]                   # of the aid, applied in this order
+    kind = "fixed"               # probability, factor, single_axis, first; "segment": ends, probability, factor, ...;
+    probability = 0.02           # "jump": probability, low, high, first; "gap": start, stop
+
+    [force]                      # of a shaken base
+    amplitude_mg = 10.0          # frequency = [1.0, 5.0], random_start
+
+    [motion]                     # one of: s_turn, accelerate_and_turn, zigzag, swaying_base, sway_underway, static_base
+    name = "s_turn"              # with its arguments: speed = 3.0
+
+    [trajectory]                 # or signals of time, which add up: angles in degrees, velocities in m/s
+    pitch = 2.0                  # a constant
+    roll = { mean = 0.5, sines = [[3.0, 8.0, 0.0]] }           # amplitude, period (s), phase (deg)
+    yaw = { mean = 10.0, ramps = [[-4.0, 40.0, 60.0]], steps = [[90.0, 150.0, 5.0]] }
+                                 # ramps: rate per s, begin, end (s); steps: size, centre, width (s) of a tanh
+    [trajectory.velocity]
+    frame = "body"               # right, forward, up; "nav": east, north, up; "course": speed, course (deg)
+    forward = { mean = 3.0, sines = [[0.2, 10.0, 0.0]] }
+
+Without `base` the site, aid, imu_rate, epoch, duration and a motion or trajectory are needed; the rest is perfect.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxalign.earth import Site
+from jaxalign.errors import UserError
+from jaxalign.simulate import motions
+from jaxalign.simulate.arguments import nearest
+from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+from jaxalign.simulate.measurement import Scenario
+from jaxalign.simulate.named import scenario
+from jaxalign.simulate.sensors import SineForce, accel_errors, gyro_errors
+from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps
+from jaxalign.simulate.trajectory import AbstractVelocity, BodyVelocity, CourseVelocity, NavVelocity, Trajectory
+
+__all__ = ["scenario_file"]
+
+_MOTIONS: dict[str, Callable[..., Trajectory]] = {
+    f.__name__: f
+    for f in (
+        motions.s_turn,
+        motions.accelerate_and_turn,
+        motions.zigzag,
+        motions.swaying_base,
+        motions.sway_underway,
+        motions.static_base,
+    )
+}
+_FAULTS = {"fixed": FixedOutliers, "segment": SegmentOutliers, "jump": JumpOutliers, "gap": Gap}
+_VELOCITY: dict[str, tuple[Callable[..., AbstractVelocity], tuple[str, ...]]] = {
+    "body": (BodyVelocity, ("right", "forward", "up")),
+    "nav": (NavVelocity, ("east", "north", "up")),
+    "course": (CourseVelocity, ("speed", "course")),
+}
+_DEG = np.pi / 180.0
+
+
+def scenario_file(path: str | os.PathLike[str]) -> Scenario:
+    """The scenario of a TOML file (see the module's docstring).
+
+    Raises:
+        UserError: no such file, no TOML, a key, value or combination that makes no scenario; with file, table and key.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"{path}: no such scenario file")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: not a TOML file: {str(error).splitlines()[0]}") from None
+    try:
+        return _scenario(table, path.stem)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def _scenario(table: Mapping[str, Any], stem: str) -> Scenario:
+    known = ("name", "base", "options", "duration", "imu_rate", "epoch", "aid", "aid_sd")
+    _check_keys(table, (*known, "site", "gyro", "accel", "faults", "force", "motion", "trajectory"), "")
+    parts: dict[str, Any] = {"name": _text(table, "name", stem)}
+    if "base" in table:
+        options = dict(_table(table, "options"))
+        if "duration" in table:
+            options["duration"] = _number(table, "duration")
+        base = scenario(_text(table, "base"), **options)
+        parts = {f.name: getattr(base, f.name) for f in dataclasses.fields(base)} | parts
+    else:
+        if "options" in table:
+            raise UserError("options: they belong to a named scenario: say which with base = ...")
+        missing = [key for key in ("site", "aid", "imu_rate", "epoch", "duration") if key not in table]
+        if not {"motion", "trajectory"} & set(table):
+            missing.append("motion or trajectory")
+        if missing:
+            raise UserError(f"{', '.join(missing)}: missing (or start from a named scenario with base = ...)")
+    for key in ("duration", "imu_rate", "aid_sd"):
+        if key in table:
+            parts[key] = _number(table, key)
+    if "aid" in table:
+        parts["aid"] = _text(table, "aid")
+    if "epoch" in table or ("imu_rate" in table and "base" in table):
+        epoch = _number(table, "epoch") if "epoch" in table else parts["aid_every"] / base.imu_rate  # pyright: ignore[reportPossiblyUnboundVariable]
+        every = epoch * parts["imu_rate"]
+        if every < 1 or abs(every - round(every)) > 1e-6:
+            raise UserError(
+                f"epoch: {epoch:g} s are {every:g} IMU samples at {parts['imu_rate']:g} Hz: not a whole number"
+            )
+        parts["aid_every"] = round(every)
+    makers: dict[str, tuple[str, Callable[[Any], Any]]] = {
+        "site": ("site", _site),
+        "gyro": ("gyro", lambda x: _called(gyro_errors, _renamed(x, "bias", "kind"), "gyro")),
+        "accel": ("accel", lambda x: _called(accel_errors, _renamed(x, "bias", "kind"), "accel")),
+        "force": ("force", lambda x: _called(SineForce.of_mg, x, "force", ("frequency", "random_start"))),
+        "faults": ("faults", _faults),
+        "motion": ("trajectory", _motion),
+        "trajectory": ("trajectory", _trajectory),
+    }
+    if "motion" in table and "trajectory" in table:
+        raise UserError("motion and trajectory: give one of them")
+    for key, (field, make) in makers.items():
+        if key in table:
+            parts[field] = make(table[key] if key == "faults" else _table(table, key))
+    return Scenario(**parts)
+
+
+def _site(table: Mapping[str, Any]) -> Site:
+    _check_keys(table, ("lat_deg", "lon_deg", "h"), "site")
+    lat, lon, h = (
+        _number(table, key, default, "site") for key, default in (("lat_deg", None), ("lon_deg", 0), ("h", 0))
+    )
+    return Site(lat * _DEG, lon * _DEG, h)
+
+
+def _motion(table: Mapping[str, Any]) -> Trajectory:
+    name = _text(table, "name", where="motion")
+    if name not in _MOTIONS:
+        raise UserError(f"[motion] name: unknown {name!r}; {nearest(name, _MOTIONS)}")
+    return _called(_MOTIONS[name], {k: v for k, v in table.items() if k != "name"}, "motion")
+
+
+def _faults(tables: Any) -> tuple[AbstractFault, ...]:
+    if not isinstance(tables, list):
+        raise UserError("faults: write each as a table [[faults]]")
+    out = []
+    for i, table in enumerate(tables):
+        where = f"faults {i + 1}"
+        if not isinstance(table, Mapping):
+            raise UserError(f"faults: {table!r} is no table: write each as [[faults]]")
+        kind = _text(table, "kind", where=where)
+        if kind not in _FAULTS:
+            raise UserError(f"[{where}] kind: unknown {kind!r}; {nearest(kind, _FAULTS)}")
+        out.append(_called(_FAULTS[kind], {k: v for k, v in table.items() if k != "kind"}, where))
+    return tuple(out)
+
+
+def _trajectory(table: Mapping[str, Any]) -> Trajectory:
+    _check_keys(table, ("pitch", "roll", "yaw", "velocity"), "trajectory")
+    angles = tuple(_signal(table.get(key, 0.0), _DEG, f"trajectory.{key}") for key in ("pitch", "roll", "yaw"))
+    if "velocity" not in table:
+        return Trajectory(*angles)
+    velocity = _table(table, "velocity", "trajectory")
+    where = "trajectory.velocity"
+    frame = _text(velocity, "frame", where=where)
+    if frame not in _VELOCITY:
+        raise UserError(f"[{where}] frame: unknown {frame!r}; {nearest(frame, _VELOCITY)}")
+    kind, names = _VELOCITY[frame]
+    _check_keys(velocity, ("frame", *names), where)
+    signals = (_signal(velocity.get(name, 0.0), _DEG if name == "course" else 1.0, f"{where}.{name}") for name in names)
+    return Trajectory(*angles, velocity=kind(*signals))
+
+
+def _signal(value: Any, unit: float, where: str) -> AbstractSignal:
+    """A number, or a table of terms that add up."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return Constant(float(value) * unit)
+    if not isinstance(value, Mapping):
+        raise UserError(f"{where} = {value!r}: must be a number or a table of mean, sines, ramps, steps")
+    _check_keys(value, ("mean", "sines", "ramps", "steps"), where)
+    total: AbstractSignal = Constant(_number(value, "mean", 0.0, where) * unit)
+    if (terms := _triples(value, "sines", where)) is not None:
+        if np.any(terms[:, 1] <= 0):
+            raise UserError(f"[{where}] sines: the period (the second number) must be positive")
+        total = total + Sines(terms[:, 0] * unit, 1.0 / terms[:, 1], terms[:, 2] * _DEG)
+    if (terms := _triples(value, "ramps", where)) is not None:
+        if np.any(terms[:, 2] <= terms[:, 1]):
+            raise UserError(f"[{where}] ramps: rate, begin, end: the end must come after the beginning")
+        total = total + Ramps(terms[:, 0] * unit, terms[:, 1], terms[:, 2])
+    if (terms := _triples(value, "steps", where)) is not None:
+        if np.any(terms[:, 2] <= 0):
+            raise UserError(f"[{where}] steps: the width (the third number) must be positive")
+        total = total + Steps(terms[:, 0] * unit, terms[:, 1], terms[:, 2])
+    return total
+
+
+def _triples(table: Mapping[str, Any], key: str, where: str) -> np.ndarray | None:
+    if key not in table:
+        return None
+    try:
+        array = np.asarray(table[key], float)
+    except (TypeError, ValueError):
+        array = np.zeros((0, 0))
+    if array.ndim != 2 or array.shape[1] != 3 or not np.all(np.isfinite(array)):
+        raise UserError(f"[{where}] {key}: must be a list of three numbers each, such as [[3.0, 8.0, 0.0]]")
+    return array
+
+
+def _called(make: Callable[..., Any], table: Mapping[str, Any], where: str, more: Iterable[str] = ()) -> Any:
+    """Call with the keys of a table as arguments, none that it does not know."""
+    known = [name for name, p in inspect.signature(make).parameters.items() if p.kind != p.VAR_KEYWORD]
+    _check_keys(table, (*known, *more), where)
+    needed = [
+        name
+        for name, p in inspect.signature(make).parameters.items()
+        if p.default is p.empty and p.kind != p.VAR_KEYWORD and name not in table
+    ]
+    if needed:
+        raise UserError(f"[{where}] {', '.join(needed)}: missing")
+    values = {
+        k: jnp.asarray(v, jnp.float64) if isinstance(v, list) and v and _numeric(v) else v for k, v in table.items()
+    }
+    try:
+        return make(**values)
+    except UserError as error:
+        raise UserError(f"[{where}] {error}") from None
+    except (TypeError, ValueError) as error:
+        raise UserError(f"[{where}] {str(error).splitlines()[0]}") from None
+
+
+def _numeric(values: Any) -> bool:
+    """Whether it is a list of numbers."""
+    return isinstance(values, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in values)
+
+
+def _renamed(table: Mapping[str, Any], old: str, new: str) -> dict[str, Any]:
+    """The file says `bias` for the kind of draw; the Python argument is `kind`."""
+    if new in table:
+        raise UserError(f"{new}: unknown key; did you mean {old!r}?")
+    return {new if key == old else key: value for key, value in table.items()}
+
+
+def _check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    known = list(known)
+    for key in table:
+        if key not in known:
+            raise UserError(f"{f'[{where}] ' if where else ''}unknown key {key!r}; {nearest(key, known)}")
+
+
+def _table(table: Mapping[str, Any], key: str, where: str = "") -> Mapping[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, Mapping):
+        raise UserError(f"{f'[{where}] ' if where else ''}{key} = {value!r}: must be a table of keys")
+    return value
+
+
+def _text(table: Mapping[str, Any], key: str, default: str | None = None, where: str = "") -> str:
+    value = table.get(key, default)
+    place = f"[{where}] " if where else ""
+    if value is None:
+        raise UserError(f"{place}{key}: missing")
+    if not isinstance(value, str):
+        raise UserError(f"{place}{key} = {value!r}: must be a word in quotes")
+    return value
+
+
+def _number(table: Mapping[str, Any], key: str, default: float | None = None, where: str = "") -> float:
+    value = table.get(key, default)
+    place = f"[{where}] " if where else ""
+    if value is None:
+        raise UserError(f"{place}{key}: missing")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UserError(f"{place}{key} = {value!r}: must be a number")
+    return float(value)

@@ -1,0 +1,14 @@
+"""Monte Carlo studies: a scenario, methods and a number of runs to statistics over time, on all devices.
+
+    result = run(Study("dvl-sturn", ["oba", "roba"], runs=1000))
+
+Simulate, align and reduce happen on the device, block by block: memory does not grow with the runs, and the result is
+the same, to the last bit, for any chunk, any number of devices or processes, and after an interruption.
+"""
+
+from jaxalign.study.engine import Interrupted, run
+from jaxalign.study.result import Result
+from jaxalign.study.settings import Study
+from jaxalign.study.statistics import AXES, PERCENTILES, Estimate, MethodStatistics
+
+__all__ = ["AXES", "PERCENTILES", "Estimate", "Interrupted", "MethodStatistics", "Result", "Study", "run"]

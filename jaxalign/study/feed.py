@@ -1,0 +1,163 @@
+"""What a method sees of a simulated run: epochs of its length, with its aid and its filter, at either fidelity."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxalign.aligner import estimate_aid_sd
+from jaxalign.epochs import Epochs, epochs_from_arrays
+from jaxalign.errors import UserError
+from jaxalign.parameters import parameters
+from jaxalign.prefilter import AbstractPrefilter
+from jaxalign.simulate import Intervals, Scenario, Truth, intervals_of, measure, measure_epochs, truth
+
+__all__ = ["FIDELITIES", "Feed", "Fidelity", "World", "feed_of", "run_axes", "run_keys", "world_of"]
+
+Fidelity = Literal["increments", "samples"]
+FIDELITIES = ("increments", "samples")
+_SAMPLED_LANES = 8  # runs drawn at IMU rate side by side: 3 MB each for five minutes at 200 Hz
+
+
+def run_keys(seed: PRNGKeyArray, numbers: Int[Array, " runs"]) -> PRNGKeyArray:
+    """The keys of the runs with these numbers: the same for every method, chunk and device."""
+    return jax.vmap(lambda i: jax.random.fold_in(seed, i))(numbers)
+
+
+class Feed(eqx.Module):
+    """What a method wants of a run.
+
+    Attributes:
+        aid: "static", "body" or "nav".
+        samples: IMU samples per epoch.
+        prefilter: of the force, or None.
+    """
+
+    aid: str = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    prefilter: AbstractPrefilter | None = None
+
+    @property
+    def name(self) -> str:
+        """The same for methods that share their epochs."""
+        numbers = self.prefilter and (type(self.prefilter).__name__, parameters(self.prefilter))
+        return repr((self.aid, self.samples, numbers))
+
+
+def feed_of(method: Any, made: Scenario) -> Feed:
+    """What a method wants of a scenario.
+
+    Raises:
+        UserError: it observes another aid, or its epochs do not fit between those of the scenario.
+    """
+    samples = getattr(getattr(method, "observe", method), "interval_samples", None) or made.aid_every
+    if method.aid not in ("static", made.aid):
+        raise UserError(f"{made.name} has a {made.aid!r} aid, the method observes {method.aid!r}")
+    if method.aid != "static" and made.aid_every % samples:
+        raise UserError(f"interval_samples = {samples} must divide the {made.aid_every} IMU samples between fixes")
+    return Feed(method.aid, samples, getattr(method, "prefilter", None))
+
+
+class World(eqx.Module):
+    """What the runs of a scenario have in common, for one feed.
+
+    Attributes:
+        scenario: what is simulated.
+        exact: its truth.
+        feed: what the method wants.
+        intervals: the truth preintegrated for noise per interval; None: noise per IMU sample.
+        aid_sd: noise of the aid that the methods are told, m/s.
+    """
+
+    scenario: Scenario
+    exact: Truth
+    feed: Feed
+    intervals: Intervals | None
+    aid_sd: Float[Array, ""]
+
+    def epochs(self, keys: PRNGKeyArray) -> Epochs:
+        """Epochs of a block of runs: the leaves that differ between them have them on the last axis. Pure."""
+        if self.intervals is None:
+            epochs = _sampled(self.exact, self.scenario, self.feed, keys)
+        else:
+            epochs = measure_epochs(self.intervals, self.scenario, keys)
+        return eqx.tree_at(lambda e: e.aid_sd, epochs, self.aid_sd)
+
+
+def run_axes(epochs: Epochs) -> Epochs:
+    """The axis of the runs in each leaf, for `vmap`: the last one, or none where all have the same."""
+    axes = jax.tree.map(lambda _: None, epochs)
+    rows = jax.tree.map(lambda x: -1 if x.ndim > 1 else None, epochs.rows)
+    return eqx.tree_at(lambda e: e.rows, axes, rows, is_leaf=lambda x: x is None)
+
+
+def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Epochs:
+    lanes = min(_SAMPLED_LANES, len(keys))
+    drawn = jax.lax.map(lambda key: _sampled_run(exact, made, feed, key), keys, batch_size=lanes)
+    common = jax.tree.map(lambda x: x[0], drawn)
+    rows = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), drawn.rows)
+    return eqx.tree_at(lambda e: e.rows, common, eqx.tree_at(lambda r: r.dt, rows, common.rows.dt))
+
+
+def _sampled_run(exact: Truth, made: Scenario, feed: Feed, key: PRNGKeyArray) -> Epochs:
+    dtheta, dvel, velocity = measure(exact, made, key)
+    if feed.aid == "static":
+        velocity = None
+    elif made.aid_every != feed.samples:  # epochs between two fixes have no aid
+        ratio = made.aid_every // feed.samples
+        velocity = jnp.full((made.epochs * ratio + 1, 3), jnp.nan).at[::ratio].set(velocity)
+    used = made.samples // feed.samples * feed.samples
+    return epochs_from_arrays(
+        dtheta[:used],
+        dvel[:used],
+        velocity,
+        dt=1.0 / made.imu_rate,
+        every=feed.samples,
+        site=made.site,
+        aid=feed.aid,  # pyright: ignore[reportArgumentType]
+        aid_sd=made.aid_sd,  # pyright: ignore[reportArgumentType]
+        prefilter=feed.prefilter,
+    )
+
+
+_first = eqx.filter_jit(lambda world, keys: world.epochs(keys))
+
+
+def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity, exact: Truth | None = None) -> World:
+    """Prepare the runs of a scenario for a feed.
+
+    A standing vehicle's noise is estimated from run 0 as measured, as :func:`jaxalign.align` does with a log.
+
+    Args:
+        made: what to simulate.
+        feed: what the method wants.
+        seed: key of the study.
+        fidelity: noise per "increments" of an epoch or per "samples" of the IMU.
+        exact: the truth, if it is at hand.
+
+    Raises:
+        UserError: a prefilter or a disturbance of the force with noise per interval, or a static method on a vehicle
+            that moves.
+    """
+    exact = truth(made) if exact is None else exact
+    if feed.aid == "static" and (speed := float(jnp.max(jnp.abs(exact.velocity_n)))) > 0.5:
+        raise UserError(
+            f"the method takes the vehicle as standing, but in {made.name} it moves at up to {speed:.1f} m/s"
+        )
+    if fidelity == "increments" and (feed.prefilter is not None or made.force is not None):
+        what = "a prefilter looks" if feed.prefilter is not None else "a disturbance of the base acts"
+        raise UserError(f"{what} at single IMU samples: choose the fidelity 'samples' (--fidelity samples)")
+    made = dataclasses.replace(made, aid=feed.aid)  # a standing vehicle has no use for its aid
+    intervals = intervals_of(exact, feed.samples) if fidelity == "increments" else None
+    world = World(made, exact, feed, intervals, made.aid_sd)
+    if feed.aid != "static":
+        return world
+    raw = World(made, exact, Feed(feed.aid, feed.samples), intervals, jnp.ones(()))
+    epochs = jax.tree.map(lambda x: x[..., 0] if x.ndim > 1 else x, _first(raw, run_keys(seed, jnp.zeros(1, int))))
+    return eqx.tree_at(lambda w: w.aid_sd, world, jnp.asarray(np.float64(estimate_aid_sd(epochs))))

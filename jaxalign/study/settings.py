@@ -1,0 +1,173 @@
+"""What a study is: scenario, methods, runs, and how they are judged; checked before anything is traced."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxalign.errors import UserError
+from jaxalign.methods import build
+from jaxalign.precision import require_x64
+from jaxalign.simulate import Scenario, scenario
+from jaxalign.study.feed import FIDELITIES, Fidelity
+
+__all__ = ["Study", "described"]
+
+_LAST_S = 50.0
+
+
+@dataclass(frozen=True)
+class Study:
+    """Methods over the same simulated runs of a scenario.
+
+    Attributes:
+        scenario: a :class:`jaxalign.simulate.Scenario` or the name of one.
+        methods: label -> method; or names of recipes.
+        runs: how many.
+        seed: of all the runs; run i is the same whatever the methods, chunks and devices.
+        every: epochs of the scenario between two read-outs.
+        fidelity: "increments" draws the noise per epoch interval (exact to first order, hundreds of times cheaper);
+            "samples" per IMU sample: for prefilters and disturbances of the base, and to compare.
+        tolerance_deg: of `within` and of the convergence time.
+        window: (start, stop) s over which the accuracy of a run is taken: start < t <= stop. By default the last 50 s,
+            or the last half of a shorter scenario.
+
+    Raises:
+        UserError: float32, or a value that makes no study.
+    """
+
+    scenario: Scenario
+    methods: Mapping[str, Any]
+    runs: int = 1000
+    seed: int = 0
+    every: int = 10
+    fidelity: Fidelity = "increments"
+    tolerance_deg: float = 1.0
+    window: tuple[float, float] = (0.0, 0.0)
+
+    def __init__(
+        self,
+        scenario: str | Scenario,
+        methods: Sequence[str] | Mapping[str, Any],
+        runs: int = 1000,
+        seed: int = 0,
+        every: int = 10,
+        fidelity: Fidelity = "increments",
+        tolerance_deg: float = 1.0,
+        window: tuple[float, float] | None = None,
+    ):
+        require_x64()
+        made = _scenario(scenario)
+        end = made.epochs * made.aid_every / made.imu_rate
+        put = {
+            "scenario": made,
+            "methods": _methods(methods, made),
+            "runs": _whole("runs", runs, 2, 10**9),
+            "seed": _whole("seed", seed, 0, 2**63 - 1),
+            "every": _whole("every", every, 1, made.epochs),
+            "fidelity": fidelity,
+            "tolerance_deg": _positive("tolerance_deg", tolerance_deg),
+            "window": (end - min(_LAST_S, end / 2), end) if window is None else window,
+        }
+        for name, value in put.items():
+            object.__setattr__(self, name, value)
+        if fidelity not in FIDELITIES:
+            raise UserError(f"fidelity = {fidelity!r}: must be one of {', '.join(FIDELITIES)}")
+        _check_window(put["window"], end, self.every * made.aid_every / made.imu_rate)
+
+    @property
+    def block(self) -> int:
+        """Runs of a block: the smallest unit of work, the same on every machine with the same kind of device."""
+        largest = 512 if jax.default_backend() == "cpu" else 8192
+        return min(largest, 1 << (self.runs - 1).bit_length())
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that decides the numbers, JSON-ready."""
+        made = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return {
+            "jaxalign": metadata.version("jaxalign"),
+            "jax": jax.__version__,
+            "platform": jax.default_backend(),
+            "block": self.block,
+            **described(made),
+        }
+
+
+def described(value: Any) -> Any:
+    """Modules, arrays and plain values as nested dictionaries and lists, every number of them."""
+    if isinstance(value, eqx.Module):
+        fields = {f.name: described(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"kind": type(value).__qualname__, **fields}
+    if isinstance(value, Mapping):
+        return {str(key): described(x) for key, x in value.items()}
+    if isinstance(value, tuple | list):
+        return [described(x) for x in value]
+    if isinstance(value, jax.Array | np.ndarray | np.generic):
+        return np.asarray(value).tolist()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return repr(value)
+
+
+def _scenario(given: Any) -> Scenario:
+    if isinstance(given, Scenario):
+        return given
+    if not isinstance(given, str):
+        raise UserError(f"scenario = {given!r}: must be a Scenario or the name of one")
+    return scenario(given)
+
+
+def _methods(given: Any, made: Scenario) -> dict[str, Any]:
+    if isinstance(given, str):
+        raise UserError(f"methods = {given!r}: give a list of names, or a mapping of labels to methods")
+    if not isinstance(given, Mapping):
+        names = list(given)
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise UserError(f"methods: {twice[0]} is named twice; give a mapping of labels to methods")
+        from jaxalign.methods import RECIPES
+
+        kinds = {name: RECIPES[name].aids if name in RECIPES else () for name in names}
+        given = {name: build(name, "static" if kinds[name] == ("static",) else made.aid) for name in names}
+    if not given:
+        raise UserError("methods: name at least one")
+    for label, method in given.items():
+        if not hasattr(method, "solve"):
+            raise UserError(f"methods: {label} = {method!r} is no method: build one with jaxalign.methods.build")
+        require_x64(method)
+    return dict(given)
+
+
+def _whole(name: str, value: Any, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        raise UserError(f"{name} = {value!r}: must be a whole number from {low} to {high}")
+    return int(value)
+
+
+def _positive(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not 0 < number < np.inf:
+        raise UserError(f"{name} = {value!r}: must be a positive number of degrees")
+    return number
+
+
+def _check_window(window: Any, end: float, spacing: float) -> None:
+    try:
+        start, stop = (float(x) for x in window)
+    except (TypeError, ValueError):
+        raise UserError(f"window = {window!r}: must be two times in s") from None
+    last = np.floor(min(stop, end) / spacing + 1e-9) * spacing
+    if not 0 <= start < stop or not (max(start, 0.0) < last or abs(stop - end) < 1e-6):
+        raise UserError(
+            f"window = {start:g} .. {stop:g} s: no read-out is in it; they come every {spacing:g} s until {end:g} s"
+        )

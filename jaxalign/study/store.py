@@ -1,0 +1,129 @@
+"""The folder of a study: its settings, a file for each finished chunk of runs, and what is read back of them.
+
+    DIR/study.json              all that decides the numbers
+    DIR/chunks/FIRST-LAST.npz   the blocks of these runs, whole or not there: written beside and renamed
+
+A kill at any moment leaves the finished chunks, and perhaps a part of one that the next study removes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxalign.errors import UserError
+from jaxalign.io.files import replacing
+from jaxalign.study.tally import Tally
+
+__all__ = ["Store"]
+
+_NAME = re.compile(r"(\d{9})-(\d{9})\.npz")
+_FIELDS = tuple(Tally.__dataclass_fields__)
+
+Chunk = dict[str, Tally]
+"""Label -> the blocks of a chunk (first axis of each leaf)."""
+
+
+class Store:
+    """A folder that holds one study.
+
+    Args:
+        folder: where; made if it is not there.
+        settings: all that decides the numbers, JSON-ready.
+        resume: go on with the study that is there.
+
+    Raises:
+        UserError: it cannot be written; it holds a study and `resume` is not set; or one with other settings.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], settings: Mapping[str, Any], resume: bool):
+        self.folder, self.chunks = Path(folder), Path(folder) / "chunks"
+        if self.folder.exists() and not self.folder.is_dir():
+            raise UserError(f"{folder} is not a folder: name another one for the study")
+        path = self.folder / "study.json"
+        wanted = json.loads(json.dumps(settings))
+        if path.exists():
+            if not resume:
+                raise UserError(f"{folder} holds a study already: go on with it (--resume), or name another folder")
+            if changed := list(_differences(_settings(path), wanted)):
+                more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+                raise UserError(
+                    f"{folder} holds a study with other settings ({'; '.join(changed[:3])}{more}): give those to "
+                    "resume it, or name another folder"
+                )
+        elif self.folder.is_dir() and any(self.folder.iterdir()) and not resume:
+            foreign = next(self.folder.iterdir()).name
+            if self.chunks.is_dir() and any(self.chunks.iterdir()):
+                raise UserError(f"{folder} holds chunks of a study but no study.json: name another folder")
+            if foreign in ("results.npz", "results.md", "results.csv", "results.png"):
+                raise UserError(f"{folder} holds results of another study: name another folder")
+        try:
+            self.chunks.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(f"{folder}: cannot be made: {error.strerror or error}") from None
+        for rest in self.chunks.glob(".*.part"):  # of a write that was killed
+            rest.unlink(missing_ok=True)
+        if not path.exists():
+            with replacing(path) as stream:
+                stream.write(json.dumps(wanted, indent=1).encode())
+
+    def write(self, first: int, stop: int, chunk: Chunk) -> None:
+        """Put the blocks of the runs first ... stop - 1 on disk.
+
+        Raises:
+            UserError: the file cannot be written.
+        """
+        arrays = {
+            f"{i}.{field}": getattr(tallied, field) for i, tallied in enumerate(chunk.values()) for field in _FIELDS
+        }
+        with replacing(self.chunks / f"{first:09d}-{stop - 1:09d}.npz") as stream:
+            np.savez_compressed(stream, labels=np.array(list(chunk)), **arrays)
+
+    def read(self) -> tuple[dict[tuple[int, int], Chunk], list[str]]:
+        """The finished chunks by (first, stop), and a line on each file that is damaged."""
+        found, damaged = {}, []
+        for path in sorted(self.chunks.iterdir()):
+            name = _NAME.fullmatch(path.name)
+            if name is None:
+                continue
+            try:
+                with np.load(path, allow_pickle=False) as file:
+                    labels = [str(label) for label in file["labels"]]
+                    chunk = {
+                        label: Tally(**{field: file[f"{i}.{field}"] for field in _FIELDS})
+                        for i, label in enumerate(labels)
+                    }
+            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+                damaged.append(f"{path} is damaged ({str(error).splitlines()[0]}): its runs are done again")
+                continue
+            found[int(name[1]), int(name[2]) + 1] = chunk
+        return found, damaged
+
+
+def _settings(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: not the settings of a study ({error}): name another folder") from None
+
+
+def _differences(old: Any, new: Any, path: str = "") -> Any:
+    """A line for each setting that differs."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in (*old, *(k for k in new if k not in old)):
+            yield from _differences(old.get(key), new.get(key), f"{path}.{key}" if path else key)
+    elif old != new:
+        yield f"{path} was {_short(old)}, is {_short(new)}"
+
+
+def _short(value: Any) -> str:
+    text = "absent" if value is None else json.dumps(value)
+    return text if len(text) < 40 else f"{text[:37]}..."
