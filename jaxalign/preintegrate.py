@@ -24,6 +24,7 @@ Schemes, with th, dv the increments of a sample and V(th) = I + (1 - cos|th|)/|t
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -33,7 +34,7 @@ from jaxtyping import Array, Float
 
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
-__all__ = ["Increment", "Scheme", "preintegrate"]
+__all__ = ["Increment", "Scheme", "integrated", "preintegrate"]
 
 Scheme = Literal["pairs", "pairs_series", "lookback", "interval", "interval_plain"]
 
@@ -91,12 +92,44 @@ def _single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
 
 
 def _compose(samples: Increment) -> Increment:
-    """Compose along the first axis; the others are lanes."""
-    lanes = samples.rotation.w.shape[1:]
-    one, zero = jnp.ones(lanes, samples.rotation.w.dtype), jnp.zeros(lanes, samples.rotation.w.dtype)
-    start = Increment(Quat(one, zero, zero, zero), Vec3(zero, zero, zero))
-    total, _ = jax.lax.scan(lambda carry, x: (carry @ x, None), start, samples)
+    """Compose along the first axis; the others are lanes. In two stages: first pieces of it, side by side."""
+    count = samples.rotation.w.shape[0]
+    length = max(1, math.isqrt(count))
+    pieces = count // length
+    whole, rest = (
+        jax.tree.map(lambda x, i=i: x[i], samples) for i in (slice(pieces * length), slice(pieces * length, None))
+    )
+    split = jax.tree.map(lambda x: x.reshape(pieces, length, *x.shape[1:]).swapaxes(0, 1), whole)
+    parts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), _composed(split), rest)
+    total = _composed(parts)
     return Increment(total.rotation.unit(), total.dvel)
+
+
+def _composed(samples: Increment) -> Increment:
+    first, later = (jax.tree.map(lambda x, i=i: x[i], samples) for i in (0, slice(1, None)))
+    return jax.lax.scan(lambda carry, x: (carry @ x, None), first, later)[0]
+
+
+def integrated(th: Vec3, dv: Vec3, turned: Any = mean_rotated) -> Increment:
+    """The increment of one interval from two or more samples (first axis; the others are lanes), in pairs.
+
+    Args:
+        th: rotation increments, rad.
+        dv: velocity increments, m/s.
+        turned: how a velocity increment is turned within its pair.
+    """
+
+    def take(start: int, stop: int, step: int = 1) -> tuple[Vec3, Vec3]:
+        return jax.tree.map(lambda x: x[start:stop:step], (th, dv))
+
+    every = th.x.shape[0]
+    even = every // 2 * 2
+    total = _compose(_pair(*take(0, even, 2), *take(1, even, 2), turned))
+    if even < every:
+        before, last = take(every - 2, every - 1), take(every - 1, every)
+        total = jax.tree.map(lambda x: x[None], total)
+        total = jax.tree.map(lambda x: x[0], total @ _single(before, *last))
+    return total
 
 
 def preintegrate(
@@ -128,9 +161,6 @@ def preintegrate(
 
     th, dv = lanes(dtheta), lanes(dvel)
 
-    def take(start: int, stop: int, step: int = 1) -> tuple[Vec3, Vec3]:
-        return jax.tree.map(lambda x: x[start:stop:step], (th, dv))
-
     def lookback() -> tuple[Vec3, Vec3]:  # the sample before, across the borders of the intervals
         def shift(x: Any) -> Any:
             flat = x.swapaxes(0, 1).reshape(-1)
@@ -142,17 +172,12 @@ def preintegrate(
     if scheme == "lookback" or (scheme.startswith("pairs") and every == 1):
         return _compose(_single(lookback(), th, dv))
     if scheme.startswith("pairs"):
-        even = every // 2 * 2
-        turned = mean_rotated if scheme == "pairs" else _mean_rotated_series
-        total = _compose(_pair(*take(0, even, 2), *take(1, even, 2), turned))
-        if even < every:
-            before, last = take(every - 2, every - 1), take(every - 1, every)
-            total = jax.tree.map(lambda x: x[None], total)
-            total = jax.tree.map(lambda x: x[0], total @ _single(before, *last))
-        return total
+        return integrated(th, dv, mean_rotated if scheme == "pairs" else _mean_rotated_series)
     half = every // 2
     if 2 * half != every:
         raise ValueError(f"scheme {scheme!r} halves the interval: {every} samples cannot be halved")
-    first, second = (jax.tree.map(lambda x: x.sum(axis=0), take(a, b)) for a, b in ((0, half), (half, every)))
+    first, second = (
+        jax.tree.map(lambda x, a=a, b=b: x[a:b].sum(axis=0), (th, dv)) for a, b in ((0, half), (half, every))
+    )
     whole = (_pair if scheme == "interval" else _plain_pair)(*first, *second)
     return Increment(whole.rotation.unit(), whole.dvel)

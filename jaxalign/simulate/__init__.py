@@ -9,7 +9,7 @@
 A new motion is a `Trajectory` of signals; a new fault of the aid is a module ``(key, t, error) -> error``.
 """
 
-from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs
+from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs, sample_epochs
 from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
 from jaxalign.simulate.file import scenario_file
 from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
@@ -75,6 +75,7 @@ __all__ = [
     "measure_epochs",
     "noiseless",
     "s_turn",
+    "sample_epochs",
     "scenario",
     "scenario_file",
     "scenario_options",

@@ -1,12 +1,13 @@
 """Normal random numbers, cheap enough not to rule a study.
 
 `jax.random.normal` runs the rounds of its generator as a rolled loop on a CPU, which compiles fast and passes every
-round through memory. Unrolled, the rounds become one loop over registers: the same numbers, three times faster. They
-are drawn slab by slab in a loop of XLA's, or it would draw them anew in every kernel that has a use for one.
+round through memory. Unrolled, the rounds become one loop over registers: the same numbers, three times faster. Two
+nested loops of XLA's hold what each produces, or it would draw anew in every kernel that has a use for a number.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,10 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-__all__ = ["each", "fold", "normals"]
+from jaxalign.errors import UserError
+
+__all__ = ["each", "fold", "normals", "slab"]
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
-_SLAB = 1 << 16  # numbers at a time, all keys together: they stay in the cache
+_SLAB, _PARTS = 1 << 13, 4  # numbers of a part, all keys together, and parts of a slab: they stay in the cache
 
 
 def each(f: Callable[[PRNGKeyArray], Any], key: PRNGKeyArray) -> Any:
@@ -31,36 +34,46 @@ def fold(key: PRNGKeyArray, number: int) -> PRNGKeyArray:
     return jax.random.fold_in(key, number) if key.ndim == 0 else jax.vmap(lambda k: jax.random.fold_in(k, number))(key)
 
 
-def normals(key: PRNGKeyArray, count: int) -> Float[Array, count *runs]:
-    """Unit normals in float32: ``jax.random.normal(key, (count,), float32)``, bit by bit.
+def normals(key: PRNGKeyArray, count: int, start: Any = 0) -> Float[Array, count * runs]:
+    """Unit normals in float32: ``jax.random.normal(key, (start + count,), float32)[start:]``, bit by bit.
 
     Args:
-        key: one, or (runs,) of them; of JAX's default generator (with another one it is that call itself).
-        count: below 2^32.
+        key: one, or (runs,) of them; of JAX's default generator.
+        count: how many.
+        start: the first of them; may be traced. Together below 2^32.
+
+    Raises:
+        UserError: keys of another generator.
 
     Source: Salmon et al. (2011), Threefry-2x32 with 20 rounds; a word per number, as JAX has it.
     """
     if jax.random.key_impl(key) != "threefry2x32":
-        return each(lambda k: jax.random.normal(k, (count,), jnp.float32), key)
-    words = jax.random.key_data(key)
-    runs = key.shape
-    rows = min(count, max(64, _SLAB // max(1, int(np.prod(runs)))))
-    starts = jnp.arange(0, count, rows, dtype=jnp.uint32)
+        raise UserError(f"keys of {jax.random.key_impl(key)!r}: JAX's default generator is needed (jax.random.key)")
+    rows = min(-(-count // _PARTS), max(16, _SLAB // max(1, math.prod(key.shape))))
+    starts = jnp.asarray(start, jnp.uint32) + jnp.arange(0, count, _PARTS * rows, dtype=jnp.uint32)
+    return jax.lax.map(lambda at: slab(key, rows, _PARTS, at), starts).reshape(-1, *key.shape)[:count]
 
-    def slab(start: Array) -> Array:
+
+def slab(key: PRNGKeyArray, rows: int, parts: int, start: Any) -> Float[Array, numbers * runs]:
+    """The ``parts * rows`` unit normals from `start` on; as :func:`normals`, for use in a loop of one's own."""
+    words, runs = jax.random.key_data(key), key.shape
+    first = jnp.asarray(start, jnp.uint32)
+
+    def part(start: Array) -> Array:
         counts = (start + jnp.arange(rows, dtype=jnp.uint32)).reshape(rows, *(1 for _ in runs))
-        return _normal(*_threefry(words[..., 0], words[..., 1], jnp.zeros_like(counts), counts))
+        return _uniform(*_threefry(words[..., 0], words[..., 1], jnp.zeros_like(counts), counts))
 
-    return jax.lax.map(slab, starts).reshape(-1, *runs)[:count]
+    uniform = jax.lax.map(part, first + rows * jnp.arange(parts, dtype=jnp.uint32)).reshape(-1, *runs)
+    return np.float32(np.sqrt(2.0)) * jax.lax.erf_inv(uniform)
 
 
-def _normal(first: Array, second: Array) -> Array:
-    """From the two words of a block to a normal number, as JAX does."""
-    # Twenty-three bits to [1, 2), to (-1, 1): the open interval starts at the float next to -1.
+def _uniform(first: Array, second: Array) -> Array:
+    """From the two words of a block to the open interval (-1, 1), as JAX does."""
+    # Twenty-three bits to [1, 2), to (-1, 1): it starts at the float next to -1.
     mantissa = ((first ^ second) >> np.uint32(9)) | np.uint32(0x3F800000)
     low = np.nextafter(np.float32(-1.0), np.float32(0.0))
     uniform = (jax.lax.bitcast_convert_type(mantissa, jnp.float32) - np.float32(1.0)) * np.float32(2.0) + low
-    return np.float32(np.sqrt(2.0)) * jax.lax.erf_inv(jnp.maximum(low, uniform))
+    return jnp.maximum(low, uniform)
 
 
 def _threefry(k0: Array, k1: Array, x0: Array, x1: Array) -> tuple[Array, Array]:

@@ -16,13 +16,13 @@ from jaxalign.epochs import Epochs, epochs_from_arrays
 from jaxalign.errors import UserError
 from jaxalign.parameters import parameters
 from jaxalign.prefilter import AbstractPrefilter
-from jaxalign.simulate import Intervals, Scenario, Truth, intervals_of, measure, measure_epochs, truth
+from jaxalign.simulate import Intervals, Scenario, Truth, intervals_of, measure, measure_epochs, sample_epochs, truth
 
 __all__ = ["FIDELITIES", "Feed", "Fidelity", "World", "feed_of", "run_axes", "run_keys", "world_of"]
 
 Fidelity = Literal["increments", "samples"]
 FIDELITIES = ("increments", "samples")
-_SAMPLED_LANES = 8  # runs drawn at IMU rate side by side: 3 MB each for five minutes at 200 Hz
+_INTEGRATED_LANES, _FILTERED_LANES = 64, 8  # runs side by side at IMU rate: an interval of each, or all 3 MB
 
 
 def run_keys(seed: PRNGKeyArray, numbers: Int[Array, " runs"]) -> PRNGKeyArray:
@@ -98,11 +98,25 @@ def run_axes(epochs: Epochs) -> Epochs:
 
 
 def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Epochs:
-    lanes = min(_SAMPLED_LANES, len(keys))
-    drawn = jax.lax.map(lambda key: _sampled_run(exact, made, feed, key), keys, batch_size=lanes)
-    common = jax.tree.map(lambda x: x[0], drawn)
-    rows = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), drawn.rows)
-    return eqx.tree_at(lambda e: e.rows, common, eqx.tree_at(lambda r: r.dt, rows, common.rows.dt))
+    """A few runs at a time, whose samples fit into the cache (or, where they are filtered, into memory)."""
+    whole = feed.prefilter is None and made.force is None and feed.samples > 1
+    lanes = min(_INTEGRATED_LANES if whole else _FILTERED_LANES, len(keys))
+    groups = keys.reshape(-1, lanes)
+
+    def group(keys: PRNGKeyArray) -> Epochs:
+        if whole:
+            return sample_epochs(exact, made, keys, feed.samples)
+        drawn = jax.vmap(lambda key: _sampled_run(exact, made, feed, key))(keys)
+        rows = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), drawn.rows)
+        common = jax.tree.map(lambda x: x[0], drawn)
+        return eqx.tree_at(lambda e: e.rows, common, eqx.tree_at(lambda r: r.dt, rows, common.rows.dt))
+
+    drawn = jax.lax.map(group, groups)
+
+    def joined(x: jax.Array) -> jax.Array:  # (groups, M + 1, lanes) -> (M + 1, runs); what is common is that of a group
+        return jnp.moveaxis(x, 0, -2).reshape(x.shape[1], -1) if x.ndim > 2 else x[0]
+
+    return jax.tree.map(joined, drawn)
 
 
 def _sampled_run(exact: Truth, made: Scenario, feed: Feed, key: PRNGKeyArray) -> Epochs:

@@ -84,9 +84,10 @@ class Study:
 
     @property
     def block(self) -> int:
-        """Runs of a block: the smallest unit of work, the same on every machine with the same kind of device."""
-        largest = 512 if jax.default_backend() == "cpu" else 8192
-        return min(largest, 1 << (self.runs - 1).bit_length())
+        """Runs of a block, the unit of work: it depends on the number of runs and the kind of device alone."""
+        largest = 1024 if jax.default_backend() == "cpu" else 16384
+        quarter = -(-self.runs // 4)  # a few blocks, for a few devices
+        return min(largest, max(16, 1 << (quarter - 1).bit_length()))
 
     @property
     def settings(self) -> dict[str, Any]:
