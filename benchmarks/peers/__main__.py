@@ -162,14 +162,14 @@ def main() -> None:
         "",
         f"Written by `python -m benchmarks.peers` on {machine()}.",
         "",
-        "`oba` on dvl-sturn (300 s, IMU 200 Hz, aid 1 Hz), clean: the same truth, noise model and algorithm (two-sample "
+        "`oba` on dvl-sturn (300 s, IMU 200 Hz, aid 1 Hz), clean: the same truth, noise and algorithm (two-sample "
         "coning,",
         "closed Coriolis term, transport rate). On the same noise the attitudes after 300 s differ from ours by "
         + ", ".join(f"{angle:.0e} rad ({name})" for name, angle in apart.items())
         + ".",
         "Ours and numba use all cores, the NumPy loop one. Smallest of three; compile time is apart.",
         "",
-        "| read-out | runs | what | compile s | wall ms per run | CPU ms per run | runs/s | numba's wall over it | GB |",
+        "| read-out | runs | what | compile s | wall ms per run | CPU ms per run | runs/s | numba's over ours | GB |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for every in EVERY:

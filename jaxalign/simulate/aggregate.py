@@ -183,7 +183,7 @@ def _epochs(moved: Increment, truth: Truth, scenario: Scenario, key: PRNGKeyArra
     )
 
 
-def _times(m: Float[Array, "m 3 3 *runs"], v: Float[Array, 3 * runs]) -> Vec3:
+def _times(m: Float[Array, "m 3 3 ..."], v: Float[Array, "3 ..."]) -> Vec3:
     """Matrix of each interval times vector of each run."""
     return Vec3(*(m[:, i, 0] * v[0] + m[:, i, 1] * v[1] + m[:, i, 2] * v[2] for i in range(3)))
 

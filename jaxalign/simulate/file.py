@@ -192,9 +192,9 @@ def _faults(tables: Any) -> tuple[AbstractFault, ...]:
 
 def _trajectory(table: Mapping[str, Any]) -> Trajectory:
     _check_keys(table, ("pitch", "roll", "yaw", "velocity"), "trajectory")
-    angles = tuple(_signal(table.get(key, 0.0), _DEG, f"trajectory.{key}") for key in ("pitch", "roll", "yaw"))
+    pitch, roll, yaw = (_signal(table.get(key, 0.0), _DEG, f"trajectory.{key}") for key in ("pitch", "roll", "yaw"))
     if "velocity" not in table:
-        return Trajectory(*angles)
+        return Trajectory(pitch, roll, yaw)
     velocity = _table(table, "velocity", "trajectory")
     where = "trajectory.velocity"
     frame = _text(velocity, "frame", where=where)
@@ -203,7 +203,7 @@ def _trajectory(table: Mapping[str, Any]) -> Trajectory:
     kind, names = _VELOCITY[frame]
     _check_keys(velocity, ("frame", *names), where)
     signals = (_signal(velocity.get(name, 0.0), _DEG if name == "course" else 1.0, f"{where}.{name}") for name in names)
-    return Trajectory(*angles, velocity=kind(*signals))
+    return Trajectory(pitch, roll, yaw, kind(*signals))
 
 
 def _signal(value: Any, unit: float, where: str) -> AbstractSignal:

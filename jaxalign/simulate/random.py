@@ -34,7 +34,7 @@ def fold(key: PRNGKeyArray, number: int) -> PRNGKeyArray:
     return jax.random.fold_in(key, number) if key.ndim == 0 else jax.vmap(lambda k: jax.random.fold_in(k, number))(key)
 
 
-def normals(key: PRNGKeyArray, count: int, start: Any = 0) -> Float[Array, count * runs]:
+def normals(key: PRNGKeyArray, count: int, start: Any = 0) -> Float[Array, "count ..."]:
     """Unit normals in float32: ``jax.random.normal(key, (start + count,), float32)[start:]``, bit by bit.
 
     Args:
@@ -54,7 +54,7 @@ def normals(key: PRNGKeyArray, count: int, start: Any = 0) -> Float[Array, count
     return jax.lax.map(lambda at: slab(key, rows, _PARTS, at), starts).reshape(-1, *key.shape)[:count]
 
 
-def slab(key: PRNGKeyArray, rows: int, parts: int, start: Any) -> Float[Array, numbers * runs]:
+def slab(key: PRNGKeyArray, rows: int, parts: int, start: Any) -> Float[Array, "numbers ..."]:
     """The ``parts * rows`` unit normals from `start` on; as :func:`normals`, for use in a loop of one's own."""
     words, runs = jax.random.key_data(key), key.shape
     first = jnp.asarray(start, jnp.uint32)
