@@ -3,41 +3,13 @@
 from __future__ import annotations
 
 import sys
-import time
 
-__all__ = ["Progress"]
+from tqdm import tqdm
+
+__all__ = ["progress"]
 
 
-class Progress:
-    """Share done, alignments per second, time left: redrawn on a terminal, one line at the end elsewhere."""
-
-    def __init__(self, title: str, total: int):
-        self.title, self.total, self.done = title, total, 0
-        self.start = time.perf_counter()
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self._write("\n")
-        elif sys.stderr.isatty():
-            print(file=sys.stderr)
-
-    def advance(self, count: int) -> None:
-        """So many more are done."""
-        self.done += count
-        if sys.stderr.isatty():
-            self._write("")
-
-    def _write(self, end: str) -> None:
-        spent = time.perf_counter() - self.start
-        bar = "#" * (20 * self.done // self.total)
-        left = spent / max(self.done, 1) * (self.total - self.done)
-        print(
-            f"\r{self.title:40.40s} [{bar:20s}] {self.done}/{self.total} alignments, {self.done / spent:.0f}/s, "
-            f"{left:.0f} s left ",
-            end=end,
-            file=sys.stderr,
-            flush=True,
-        )
+def progress(title: str, total: int) -> tqdm:
+    """Alignments done, per second, time left: redrawn on a terminal, now and then elsewhere."""
+    interval = 0.1 if sys.stderr.isatty() else 60.0
+    return tqdm(total=total, desc=f"{title:40.40s}", unit="alignment", mininterval=interval, maxinterval=interval)

@@ -16,7 +16,7 @@ jax.config.update("jax_enable_x64", True)
 from experiments.command import run  # noqa: E402
 from experiments.monte_carlo import monte_carlo  # noqa: E402
 from experiments.page import Page  # noqa: E402
-from experiments.progress import Progress  # noqa: E402
+from experiments.progress import progress  # noqa: E402
 from experiments.vondrak_disturbed_base import driving, pictures, repeatability, simulated, tables  # noqa: E402
 from experiments.vondrak_disturbed_base.findings import findings  # noqa: E402
 from experiments.vondrak_disturbed_base.schemes import GRADES, SCHEMES, behind, fine_of, grade_of  # noqa: E402
@@ -44,14 +44,14 @@ Aligned = dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]
 def search(seed: int, conditions: Sequence[int]) -> dict[tuple[int, str], tuple[Choice, dict[float, Choice]]]:
     """The smoothing factor by all ways: (condition, objective) -> genetic algorithm, gradient by start."""
     out = {}
-    with Progress("smoothing factor", len(conditions) * len(OBJECTIVES)) as bar:
+    with progress("smoothing factor", len(conditions) * len(OBJECTIVES)) as bar:
         for condition in conditions:
             made = objectives(condition, seed)
             for name in OBJECTIVES:
                 objective = made[name]
                 ga = by_genetic_algorithm(objective, seed, None if name == "J" else 0.995)
                 out[condition, name] = ga, {start: by_gradient(objective, start) for start in STARTS}
-                bar.advance(1)
+                bar.update(1)
     return out
 
 

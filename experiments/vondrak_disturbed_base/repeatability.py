@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.progress import Progress
+from experiments.progress import progress
 from experiments.vondrak_disturbed_base.schemes import FINES, SCHEMES, behind, fine_of
 from jaxalign import Log, align, estimate_aid_sd, read
 from jaxalign.inertial import InertialRecord
@@ -71,7 +71,7 @@ def repeatability(path: Path, lengths: tuple[float, ...] = LENGTHS) -> dict[tupl
     out: dict[tuple[float, str, str], np.ndarray] = {}
     count = sum(int(whole.duration // length) for length in lengths) * len(SCHEMES) * len(METHODS)
     noise = estimate_aid_sd(build("velocity_q").epochs(whole))
-    with Progress("laser-gyro log", count) as bar:
+    with progress("laser-gyro log", count) as bar:
         for length in lengths:
             starts = np.arange(int(whole.duration // length)) * length
             expected = _reference(whole, list(starts + length))
@@ -85,6 +85,6 @@ def repeatability(path: Path, lengths: tuple[float, ...] = LENGTHS) -> dict[tupl
                         chosen = behind(prefilter, method)
                         solution = align(chosen, segment, every=segment.epochs, aid_sd=noise)
                         found.append(np.rad2deg(attitude_error(solution.q_nb[-1], q))[2])
-                        bar.advance(1)
+                        bar.update(1)
                     out[length, scheme, label] = np.array(found)
     return out

@@ -100,7 +100,8 @@ def run_axes(epochs: Epochs) -> Epochs:
 def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Epochs:
     """A few runs at a time, whose samples fit into the cache (or, where they are filtered, into memory)."""
     whole = feed.prefilter is None and made.force is None and feed.samples > 1
-    lanes = min(_INTEGRATED_LANES if whole else _FILTERED_LANES, len(keys))
+    most = _INTEGRATED_LANES if whole else _FILTERED_LANES
+    lanes = max(n for n in range(1, min(most, len(keys)) + 1) if len(keys) % n == 0)
     groups = keys.reshape(-1, lanes)
 
     def group(keys: PRNGKeyArray) -> Epochs:
