@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxalign import UserError, epochs_from_arrays
-from jaxalign.simulate import intervals_of, measure, measure_epochs, noiseless, scenario, truth
+from jaxalign.simulate import intervals_of, measure, measure_epochs, noiseless, sample_epochs, scenario, truth
 from jaxalign.vector import Quat
 
 SECONDS, SAMPLES = 8.0, 200
@@ -118,3 +118,37 @@ def test_differentiable_in_the_sensors():
         numeric = (size(at * (1 + h)) - size(at * (1 - h))) / (2 * h * at)
         np.testing.assert_allclose(slope, numeric, rtol=1e-4)
     assert np.isfinite(jax.grad(size)(jnp.zeros(())))
+
+
+def test_many_runs_are_the_single_ones():
+    made, _, intervals = problem(outliers="segment", single_axis=True, gaps=((2.0, 3.0),))
+    some = keys(5)
+    together = eqx.filter_jit(measure_epochs)(intervals, made, some).rows
+    for i in (0, 4):
+        alone = measure_epochs(intervals, made, some[i]).rows
+        for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(a if a.ndim == 1 else a[..., i], b, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("samples", [200, 25, 2])
+def test_sample_by_sample_is_measure(samples):
+    """The same draws as `measure` and a preintegration, for one run and for several side by side."""
+    made, exact, _ = problem(outliers="fixed", gaps=((2.0, 3.0),))
+    some = keys(3)
+    together = sample_epochs(exact, made, some, samples)
+    alone = sample_epochs(exact, made, some[1], samples)
+    dtheta, dvel, velocity = measure(exact, made, some[1])
+    sparse = np.full((made.samples // samples + 1, 3), np.nan)
+    sparse[:: SAMPLES // samples] = velocity
+    fixed = {"dt": 1.0 / made.imu_rate, "every": samples, "site": made.site, "aid": made.aid}
+    expected = epochs_from_arrays(dtheta, dvel, sparse, aid_sd=made.aid_sd, **fixed)
+    assert (alone.aid, alone.interval) == (expected.aid, expected.interval)
+    for a, b, c in zip(*(jax.tree.leaves(x.rows) for x in (together, alone, expected)), strict=True):
+        np.testing.assert_allclose(b, c, rtol=0, atol=3e-15)
+        np.testing.assert_allclose(a if a.ndim == 1 else a[..., 1], c, rtol=0, atol=3e-15)
+
+
+def test_samples_of_a_shaken_base_are_refused():
+    made = scenario("disturbed", duration=SECONDS)
+    with pytest.raises(UserError, match="sample by sample"):
+        sample_epochs(truth(made), made, jax.random.key(0), 20)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
-from jaxalign.simulate import truth
+from jaxalign.simulate import Truth, truth
 from jaxalign.study import devices
 from jaxalign.study.errors import Rows, common_rows, errors_of
 from jaxalign.study.feed import World, feed_of, run_keys, world_of
@@ -41,67 +41,70 @@ class Interrupted(KeyboardInterrupt):
 
 
 class _Job(NamedTuple):
-    """One method, ready to run; `judge` are arguments of `tally` after `counted`."""
+    """One method, ready to run; `judge` are the arguments of `tally` after `counted`."""
 
     label: str
     method: Any
     world: World
     feed: str
     where: Rows
-    time: np.ndarray
-    judge: tuple[jax.Array, jax.Array, jax.Array]
-
-
-def _sharded(body: Callable[..., Any], over: Mesh, common: Any, *blocks: Any) -> Any:
-    """``body(common, *block)`` on each device: its block of the blocks, a first axis of all their leaves in and out."""
-    arrays, rest = eqx.partition(common, eqx.is_array)
-    spec = PartitionSpec(over.axis_names[0])
-
-    def each(arrays: Any, *local: Any) -> Any:
-        own = (jax.tree.map(lambda x: x[0], tree) for tree in local)
-        return jax.tree.map(lambda x: x[None], body(eqx.combine(arrays, rest), *own))
-
-    in_specs = (PartitionSpec(), *(spec for _ in blocks))
-    return jax.shard_map(each, mesh=over, in_specs=in_specs, out_specs=spec, check_vma=False)(arrays, *blocks)
+    judge: tuple[np.ndarray, np.ndarray, np.float64]
 
 
 @eqx.filter_jit
-def _draw(world: World, seed: jax.Array, numbers: jax.Array, over: Mesh) -> Epochs:
-    """Epochs of a block of runs on each device; runs on the last axis."""
-
-    def block(common: Any, numbers: jax.Array) -> Epochs:
-        world, seed = common
-        return world.epochs(run_keys(seed, numbers))
-
-    return _sharded(block, over, (world, seed), numbers)
+def _draw(world: World, seed: jax.Array, numbers: jax.Array) -> Epochs:
+    """Epochs of a block of runs."""
+    return world.epochs(run_keys(seed, numbers))
 
 
 @eqx.filter_jit
-def _reduce(common: Any, epochs: Epochs, numbers: jax.Array, over: Mesh) -> Tally:
-    """Align and tally a block of runs on each device."""
-
-    def block(common: Any, epochs: Epochs, numbers: jax.Array) -> Tally:
-        method, exact, where, judge, runs = common
-        return tally(errors_of(method, epochs, exact, where), numbers < runs, *judge)
-
-    return _sharded(block, over, common, epochs, numbers)
+def _reduce(method: Any, epochs: Epochs, exact: Truth, where: Rows, judge: Any, counted: jax.Array) -> Tally:
+    """Align and tally a block of runs."""
+    return tally(errors_of(method, epochs, exact, where), counted, *judge)
 
 
-def _jobs(study: Study, over: Mesh) -> Iterator[_Job]:
+def _jobs(study: Study) -> Iterator[_Job]:
     made, seed = study.scenario, jax.random.key(study.seed)
     exact = truth(made)
     worlds: dict[str, World] = {}
     times = np.asarray(exact.t)
+    start, stop = study.window
     for label, method in study.methods.items():
         feed = feed_of(method, made)
         where = common_rows(made, feed, study.every, label)
         if feed.name not in worlds:
-            worlds[feed.name] = devices.replicated(world_of(made, feed, seed, study.fidelity, exact), over)
+            worlds[feed.name] = world_of(made, feed, seed, study.fidelity, exact)
         time = times[where.places]
-        start, stop = study.window
-        window = (time > start + 1e-6) & (time <= stop + 1e-6)
-        judge = devices.replicated((time, window, np.float64(study.tolerance_deg)), over)
-        yield _Job(label, devices.replicated(method, over), worlds[feed.name], feed.name, where, time, judge)
+        judge = time, (time > start + 1e-6) & (time <= stop + 1e-6), np.float64(study.tolerance_deg)
+        yield _Job(label, method, worlds[feed.name], feed.name, where, judge)
+
+
+class _Worker:
+    """A device: it draws the runs of a block once for all methods, aligns and tallies them."""
+
+    def __init__(self, study: Study, jobs: list[_Job], device: Any):
+        self.study, self.device = study, device
+        worlds = {job.feed: devices.placed(job.world, device) for job in jobs}
+        self.jobs = [
+            job._replace(world=worlds[job.feed], **devices.placed({k: getattr(job, k) for k in _OWN}, device))
+            for job in jobs
+        ]
+        self.seed = devices.placed(jax.random.key(study.seed), device)
+
+    def __call__(self, block: int) -> dict[str, Tally]:
+        numbers = block * self.study.block + np.arange(self.study.block)
+        counted = devices.placed(numbers < self.study.runs, self.device)
+        placed = devices.placed(numbers, self.device)
+        drawn: dict[str, Epochs] = {}
+        out = {}
+        for job in self.jobs:
+            if job.feed not in drawn:
+                drawn[job.feed] = _draw(job.world, self.seed, placed)
+            out[job.label] = _reduce(job.method, drawn[job.feed], job.world.exact, job.where, job.judge, counted)
+        return jax.tree.map(np.asarray, out)
+
+
+_OWN = ("method", "where", "judge")
 
 
 class _Collected:
@@ -119,7 +122,7 @@ class _Collected:
                 fields = {f: getattr(tallied, f)[i] for f in Tally.__dataclass_fields__ if f != "bins"}
                 self.blocks[label][first + i] = Tally(**fields, bins=None)  # pyright: ignore[reportArgumentType]
 
-    def result(self, study: Study, jobs: list[_Job], blocks: range | None = None) -> Result:
+    def result(self, study: Study, jobs: list[_Job]) -> Result:
         out = {}
         for job in jobs:
             kept = self.blocks[job.label]
@@ -127,15 +130,15 @@ class _Collected:
             runs = min(study.runs, len(parts) * study.block)
             stacked = jax.tree.map(lambda *x: np.stack(x), *parts)
             stacked = eqx.tree_at(lambda t: t.bins, stacked, self.bins[job.label], is_leaf=lambda x: x is None)
-            out[job.label] = statistics_of(job.time, runs, stacked)
+            out[job.label] = statistics_of(job.judge[0], runs, stacked)
         return Result(study, out)
 
 
-def _stacked(groups: list[dict[str, Tally]], blocks: int) -> dict[str, Tally]:
-    """The tallies of a chunk from those of its dispatches, its bins summed."""
+def _stacked(parts: list[dict[str, Tally]], blocks: int) -> dict[str, Tally]:
+    """The tallies of a chunk, in the order of its blocks, from those of this process; bins summed."""
     out = {}
-    for label in groups[0]:
-        whole = jax.tree.map(lambda *x: np.concatenate(x)[:blocks], *(group[label] for group in groups))
+    for label in parts[0]:
+        whole = devices.gathered(jax.tree.map(lambda *x: np.stack(x), *(part[label] for part in parts)), blocks)
         out[label] = eqx.tree_at(lambda t: t.bins, whole, np.sum(whole.bins, axis=0, dtype=np.int64))
     return out
 
@@ -169,8 +172,7 @@ def run(
     """
     if chunk is not None and (isinstance(chunk, bool) or chunk != int(chunk) or chunk < 1):
         raise UserError(f"chunk = {chunk!r}: must be a whole number of runs, at least 1")
-    over = devices.mesh()
-    jobs = list(_jobs(study, over))
+    jobs = list(_jobs(study))
     speaks = devices.is_first()
     store = Store(out, study.settings, resume) if out is not None and speaks else None
     collected = _Collected(list(study.methods))
@@ -182,36 +184,43 @@ def run(
             warn(line)
         for (first, stop), part in found.items():
             blocks = slice(first // study.block, -(-stop // study.block))
-            if (
-                first % study.block == 0
-                and stop <= study.runs
-                and not done[blocks].any()
-                and list(part) == list(study.methods)
-            ):
+            if first % study.block == 0 and stop <= study.runs and not done[blocks].any():
                 collected.add(blocks.start, part)
                 done[blocks] = True
     done = devices.agreed(done)
 
-    per_chunk = -(-(chunk or _CHUNK) // (study.block * over.size)) * over.size
-    seed = devices.replicated(jax.random.key(study.seed), over)
-    bar = _bar(progress and speaks, len(jobs) * study.runs, int(done.sum()) * study.block * len(jobs))
-    with bar:
+    here = jax.local_devices()
+    side_by_side = len(here) * jax.process_count()
+    per_chunk = -(-(chunk or _CHUNK) // (study.block * side_by_side)) * side_by_side
+    workers = [_Worker(study, jobs, device) for device in here]
+    bar = _bar(progress and speaks, study.runs, int(done.sum()) * study.block)
+    with bar, ThreadPoolExecutor(len(here)) as pool:
         for first in _starts(done, per_chunk):
             blocks = _length(done, first, per_chunk)
-            groups: list[dict[str, Tally]] = []
-            interrupted = None
+            own = range(first + jax.process_index(), first + blocks, jax.process_count())
+            parts: list[dict[str, Tally]] = []
+            interrupted = False
+            waiting = [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
             try:
-                for group in _dispatched(study, jobs, first, blocks, seed, over):
-                    groups.append(group)
-                    bar.update(min(over.size, blocks - len(groups) * over.size + over.size) * study.block * len(jobs))
-            except KeyboardInterrupt as error:
-                interrupted = error
-            if groups:
-                finished = min(blocks, len(groups) * over.size)
-                part = _stacked(groups, finished)
+                for future in waiting:
+                    parts.append(future.result())
+                    bar.update(study.block * jax.process_count())
+            except KeyboardInterrupt:
+                interrupted = True
+                for future in waiting:
+                    future.cancel()
+                if jax.process_count() > 1:
+                    raise
+            except BaseException:
+                for future in waiting:
+                    future.cancel()
+                raise
+            finished = blocks if not interrupted else len(parts)
+            if finished:
+                part = _stacked(parts, finished)
                 collected.add(first, part)
                 _write(store, study, first, finished, part, collected)
-            if interrupted is not None:
+            if interrupted:
                 raise _interrupted(study, jobs, collected, store) from None
     return collected.result(study, jobs) if speaks else None
 
@@ -231,28 +240,6 @@ def _length(done: np.ndarray, first: int, most: int) -> int:
     """Blocks from one on that are not done, at most so many."""
     rest = np.flatnonzero(done[first:])
     return int(min(most, rest[0] if len(rest) else len(done) - first))
-
-
-def _dispatched(
-    study: Study, jobs: list[_Job], first: int, blocks: int, seed: jax.Array, over: Mesh
-) -> Iterator[dict[str, Tally]]:
-    """Tallies of the blocks, as many as there are devices at a time, the next ones begun before they are waited for."""
-    ahead: dict[str, Tally] | None = None
-    runs = devices.replicated(np.int64(study.runs), over)
-    for block in range(first, first + blocks, over.size):
-        numbers = devices.numbers(block * study.block, study.block, over)
-        drawn: dict[str, Epochs] = {}
-        begun = {}
-        for job in jobs:
-            if job.feed not in drawn:
-                drawn[job.feed] = _draw(job.world, seed, numbers, over)
-            common = (job.method, job.world.exact, job.where, job.judge, runs)
-            begun[job.label] = _reduce(common, drawn[job.feed], numbers, over)
-        if ahead is not None:
-            yield devices.gathered(ahead)
-        ahead = begun
-    if ahead is not None:
-        yield devices.gathered(ahead)
 
 
 def _write(

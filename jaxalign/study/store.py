@@ -95,7 +95,7 @@ class Store:
             if name is None:
                 continue
             try:
-                with np.load(path, allow_pickle=False) as file:
+                with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                     labels = [str(label) for label in file["labels"]]
                     chunk = {
                         label: Tally(**{field: file[f"{i}.{field}"] for field in _FIELDS})
