@@ -9,7 +9,7 @@ WORKERS ?= 2
 .PHONY: help run test test-slow test-all lint types bench tables clean
 
 help:
-	@echo "make run       set up, simulate a vehicle, align it with two methods, print a table, write out/dvl-sturn.png"
+	@echo "make run       set up, study five methods over 1000 simulated runs with outliers: a table, out/dvl-sturn/"
 	@echo "make test      set up, run the tests (not those marked slow)"
 	@echo "make test-slow the tests marked slow;  make test-all  both"
 	@echo "make lint      ruff (check and format)        make types     pyright"
@@ -25,7 +25,9 @@ $(STAMP): pyproject.toml
 	@touch $@
 
 run: $(STAMP)
-	$(BIN)/python -m experiments.demo --out out
+	rm -rf out/dvl-sturn
+	$(BIN)/jaxalign study dvl-sturn --set outliers=fixed --methods oba,roba,moba,rkf_oba,centred_oba \
+		--runs 1000 --out out/dvl-sturn --plot
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow"
@@ -45,6 +47,8 @@ types: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.single
 	$(BIN)/python -m benchmarks.prefilter
+	$(BIN)/python -m benchmarks.peers
+	$(BIN)/python -m benchmarks.scaling
 
 tables: $(STAMP)
 	$(BIN)/python -m experiments.xu2020_rkf_dvl

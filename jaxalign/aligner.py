@@ -220,9 +220,11 @@ class Aligner(eqx.Module):
 
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     """All epochs; rows at epoch 0, every ``every``-th epoch and the last one."""
-    # Feedback of the attitude must not starve: whatever is asked for, read out at least every _FEEDBACK epochs.
+    # Feedback of the attitude must not starve, whatever is asked for: the transport rate can wait some epochs, a weight
+    # that looks at residuals cannot (on dvl-sturn with outliers roba then loses a run in a hundred).
     every = max(1, min(every, len(epochs) - 1))
-    stride = max(d for d in range(1, _FEEDBACK + 1) if every % d == 0)
+    most = 1 if aligner.weight.looks_at_attitude else _FEEDBACK
+    stride = max(d for d in range(1, most + 1) if every % d == 0)
     out = _scan_rows(aligner, epochs, stride)
     if stride != every:
         last = len(epochs) - 1
@@ -302,8 +304,9 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
             ``epochs(log)`` and ``solve(epochs, every)``.
         log: a checked log (host), or Epochs (also inside jit, vmap, grad).
         every: epochs between two rows of the result: they come at epoch 0, at each ``every``-th epoch and the last one.
-            The eigenproblem costs more than all the rest of a step, so it is solved only for the rows, and for the
-            feedback of the attitude (transport rate, residual weights) at least every 10 epochs.
+            The eigenproblem costs as much as all the rest of a step, so it is solved only for the rows, and for the
+            feedback of the attitude: into the transport rate at least every 10 epochs, into a weight that looks at
+            the attitude at each.
         aid_sd: standard deviation of the aid's white noise per axis, m/s (for a method that takes the vehicle as
             standing: of the force integrated over one interval). By default what the log says of the aid that the
             method observes, else an estimate from the log (:func:`estimate_aid_sd`). ``Solution.aid_sd`` says what

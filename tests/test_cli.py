@@ -388,6 +388,7 @@ def test_a_parameter_by_its_path(tmp_path, capsys):
     assert "nan" not in said
 
 
+@pytest.mark.slow
 def test_fine_behind_a_prefilter(tmp_path, capsys):
     parked, out = tmp_path / "parked.npz", tmp_path / "out.npz"
     assert (

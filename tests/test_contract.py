@@ -34,6 +34,9 @@ def _further_aids_slow(rows):
 
 
 first_aids = _further_aids_slow(ROWS)
+QUICK_GRADIENTS = ("oba", "roba", "gravity_q", "triad", "request")  # the others compile for 15 s each
+
+
 first_slots = _further_aids_slow([row for row in ROWS if isinstance(method_of(*row), Aligner)])
 
 
@@ -139,7 +142,15 @@ def test_missing_aid_is_skipped(name, aid):
     assert after < 2 * before + most
 
 
-@first_aids
+@pytest.mark.parametrize(
+    ("name", "aid"),
+    [
+        pytest.param(
+            *row, marks=() if row[0] in QUICK_GRADIENTS and row[1] == RECIPES[row[0]].aids[0] else pytest.mark.slow
+        )
+        for row in ROWS
+    ],
+)
 def test_gradients(name, aid):
     """Forward = reverse = central differences at two step sizes: aid velocities (all at once) and latitude.
 

@@ -199,6 +199,7 @@ def shaken(**options) -> Scenario:
     )
 
 
+@pytest.mark.slow
 def test_a_rocking_base_is_filtered_in_the_inertial_frame():
     """In b the filter takes some of gravity's turning for a disturbance; in b0 only the disturbance goes."""
     clean = simulate(dataclasses.replace(shaken(), force=None), seed=1)

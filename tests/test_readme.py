@@ -21,7 +21,7 @@ def test_python(tmp_path, monkeypatch, capsys):
     matplotlib.use("Agg")
     space: dict = {}
     code = blocks("python")
-    assert len(code) == 5
+    assert len(code) == 6
     for block in code:
         exec(compile(block, "README.md", "exec"), space)
     assert space["milder"].weight.cutoff == 8.0
@@ -31,14 +31,14 @@ def test_python(tmp_path, monkeypatch, capsys):
     )
     assert abs(float(errors["robust"])) < 2.5 < abs(float(errors["plain"]))
     # The 20-line extension and the 15-line embedding keep their promise.
-    assert len([line for line in code[3].splitlines() if line.strip()]) <= 20
-    assert len([line for line in code[4].splitlines() if line.strip()]) <= 15
+    assert len([line for line in code[4].splitlines() if line.strip()]) <= 20
+    assert len([line for line in code[5].splitlines() if line.strip()]) <= 15
 
 
 def test_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     commands = [line[2:] for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
-    assert len(commands) == 7
+    assert len(commands) == 9
     for command in commands:
         program, *arguments = command.split()
         assert program == "jaxalign"
@@ -49,9 +49,17 @@ def test_commands(tmp_path, monkeypatch, capsys):
 def test_column_map_is_a_map(tmp_path):
     from jaxalign.io.columns import column_map
 
-    (text,) = blocks("toml")
+    _, text = blocks("toml")
     (tmp_path / "dvl.csv").write_text("t,vx,vy,vz\n")
     column_map(tomllib.loads(text), tmp_path / "log.csv")
+
+
+def test_scenario_file_is_a_scenario(tmp_path):
+    from jaxalign.simulate import scenario_file
+
+    (tmp_path / "harbour.toml").write_text(blocks("toml")[0])
+    made = scenario_file(tmp_path / "harbour.toml")
+    assert (made.name, made.duration, float(made.aid_sd)) == ("harbour", 120.0, 0.03)
 
 
 @pytest.mark.parametrize("link", re.findall(r"\]\((?!https?:)([^)#]+)\)", README))

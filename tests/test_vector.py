@@ -167,13 +167,28 @@ def test_mean_rotated_is_exact_through_its_series():
 
 def test_mean_rotated_is_the_mean():
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    rotvecs = np.concatenate([ROTVECS, 2 * np.pi * AXES])
+    rotvecs = np.concatenate([ROTVECS, np.pi * AXES])
+    rotvecs = rotvecs[np.linalg.norm(rotvecs, axis=1) < np.pi + 1e-9]  # as far as its series go
     v = np.random.default_rng(3).normal(size=rotvecs.shape)
     means = [
         weights @ Rotation.from_rotvec(np.outer((nodes + 1) / 2, r)).apply(x) / 2
         for r, x in zip(rotvecs, v, strict=True)
     ]
     np.testing.assert_allclose(mean_of(rotvecs, v), means, rtol=0, atol=20 * EPS)
+
+
+def test_turn_is_exp():
+    """By series alone; with few terms for slow turns."""
+    sizes = np.linalg.norm(ROTVECS, axis=1)
+    for slow, most in ((False, 2 * np.pi + 1e-9), (True, 0.05)):
+        rotvecs = ROTVECS[sizes <= most]
+        assert len(rotvecs) > 10
+        turned = np.asarray(Quat.turn(Vec3.of(rotvecs), slow=slow).array)
+        np.testing.assert_allclose(turned, exp_of(rotvecs), rtol=0, atol=6 * EPS)
+    for h in (1e-5, 1e-6):  # differentiable at zero, where exp needs a branch
+        slope = jax.jacfwd(lambda x: Quat.turn(Vec3.of(x)).array)(jnp.zeros(3))
+        numeric = [(np.asarray(Quat.turn(Vec3.of(h * e)).array) - [1, 0, 0, 0]) / h for e in np.eye(3)]
+        np.testing.assert_allclose(slope, np.transpose(numeric), atol=h)
 
 
 def test_values_and_derivatives_do_not_jump_where_the_series_end():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,13 @@ __all__ = ["AbstractWeight", "Unit"]
 
 
 class AbstractWeight(eqx.Module):
-    """Slot: a pair to a weight in [0, 1]."""
+    """Slot: a pair to a weight in [0, 1].
+
+    A class that does not look at ``context.attitude`` sets ``looks_at_attitude = False``: then the eigenproblem need
+    not be solved at every epoch where the attitude is wanted at every tenth only.
+    """
+
+    looks_at_attitude: ClassVar[bool] = True
 
     def check(self, observe: AbstractObserve) -> None:
         """Refuse an observation that makes no sense here (UserError); called once, when a method is put together."""
@@ -31,6 +37,8 @@ class AbstractWeight(eqx.Module):
 
 class Unit(AbstractWeight):
     """Every pair counts alike."""
+
+    looks_at_attitude: ClassVar[bool] = False
 
     def init(self) -> Any:
         """No state."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -53,6 +53,7 @@ class Mahalanobis(AbstractWeight):
     two distances are known their deviation is taken as delta.
     """
 
+    looks_at_attitude: ClassVar[bool] = False
     gamma: Float[Array, ""] = tunable(4.0, unit="1", bounds=(0.5, 16.0))
     delta: Float[Array, ""] = tunable(5.0239, unit="1", bounds=(0.1, 50.0))
     threshold: Float[Array, ""] = tunable(2.0, unit="1", bounds=(0.1, 10.0))
