@@ -49,7 +49,7 @@ def test_commands(tmp_path, monkeypatch, capsys):
 def test_column_map_is_a_map(tmp_path):
     from jaxalign.io.columns import column_map
 
-    _, text = blocks("toml")
+    text, _ = blocks("toml")
     (tmp_path / "dvl.csv").write_text("t,vx,vy,vz\n")
     column_map(tomllib.loads(text), tmp_path / "log.csv")
 
@@ -57,7 +57,7 @@ def test_column_map_is_a_map(tmp_path):
 def test_scenario_file_is_a_scenario(tmp_path):
     from jaxalign.simulate import scenario_file
 
-    (tmp_path / "harbour.toml").write_text(blocks("toml")[0])
+    (tmp_path / "harbour.toml").write_text(blocks("toml")[1])
     made = scenario_file(tmp_path / "harbour.toml")
     assert (made.name, made.duration, float(made.aid_sd)) == ("harbour", 120.0, 0.03)
 
