@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 
-__all__ = ["best_ms", "machine"]
+__all__ = ["best_ms", "machine", "peak_gb"]
 
 
 def machine() -> str:
@@ -28,6 +28,14 @@ def machine() -> str:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     device = jax.devices()[0].device_kind
     return f"{model}{flags}, {cores} cores; device {device}; Python {platform.python_version()}, JAX {jax.__version__}"
+
+
+def peak_gb() -> float:
+    """Peak memory of this process in GB (since its program began, which `ru_maxrss` does not say)."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return float("nan")
+    return next(int(line.split()[1]) / 1e6 for line in status.read_text().splitlines() if line.startswith("VmHWM"))
 
 
 def best_ms(function: Callable[[], Any], repeats: int = 30) -> tuple[float, float]:

@@ -18,6 +18,8 @@ from typing import Any
 
 import jax
 
+from benchmarks.machine import peak_gb
+
 HEAD = "| {what} | compile s | wall s | wall ms per run | CPU ms per run | memory GB |"
 
 
@@ -48,7 +50,7 @@ def measure(options: dict[str, Any]) -> dict[str, float]:
     study(runs)
     wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"compile": compiled, "wall": wall, "cpu": cpu, "memory": after.ru_maxrss / 1e6, "runs": runs}
+    return {"compile": compiled, "wall": wall, "cpu": cpu, "memory": peak_gb(), "runs": runs}
 
 
 def child(options: dict[str, Any], cores: set[int] | None = None) -> subprocess.Popen[str]:
