@@ -401,7 +401,7 @@ def test_two_processes_are_the_same_to_the_last_bit(result, tmp_path):
     said = [process.communicate(timeout=300) for process in both]
     assert [process.returncode for process in both] == [0, 0], said
     assert "roba" in said[0][0]
-    assert said[1][0] == ""
+    assert "oba" not in said[1][0]  # (Gloo has a line of its own)
     with np.load(tmp_path / "results.npz") as file:
         for key, value in arrays(result).items():
             np.testing.assert_array_equal(file[key], value, err_msg=key)

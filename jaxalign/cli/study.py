@@ -29,9 +29,9 @@ def add(commands: Any) -> None:
     add_scenario_argument(command)
     command.add_argument(
         "--methods",
-        default="oba,centred_oba",
         metavar="M1,M2,...",
-        help="names (see `jaxalign methods`), or LABEL=NAME for variants of one (default: %(default)s)",
+        help="names (see `jaxalign methods`), or LABEL=NAME for variants of one (default: oba,centred_oba; without an "
+        "aid gravity_q,velocity_q)",
     )
     command.add_argument("--runs", type=int, default=1000, metavar="N", help="how many (default: %(default)s)")
     command.add_argument("--seed", type=int, default=0, metavar="S", help="of all the runs (default: %(default)s)")
@@ -83,14 +83,13 @@ def add(commands: Any) -> None:
 
 
 def _devices(options: argparse.Namespace) -> None:
-    """Before anything of JAX runs: join the other processes, or use all cores."""
+    """Before anything of JAX runs: use all cores, join the other processes."""
     from jaxalign.study import devices
 
-    if options.distributed is None:
-        if options.processes is not None or options.rank is not None:
-            raise UserError("--processes and --rank go with --distributed HOST:PORT")
-        devices.use_all_cores()
-    else:
+    if options.distributed is None and (options.processes is not None or options.rank is not None):
+        raise UserError("--processes and --rank go with --distributed HOST:PORT")
+    devices.use_all_cores()
+    if options.distributed is not None:
         devices.join(options.distributed or None, options.processes, options.rank)
 
 
@@ -107,7 +106,8 @@ def _run(options: argparse.Namespace) -> int:
     given = assignments(options.set)
     of_scenario = {name: value for name, value in given.items() if "." not in name or name.endswith(".toml")}
     made = chosen_scenario(options.scenario, of_scenario)
-    methods = _methods(options.methods, made.aid, options.prefilter, {k: v for k, v in given.items() if "." in k})
+    chosen = options.methods or ("gravity_q,velocity_q" if made.aid == "static" else "oba,centred_oba")
+    methods = _methods(chosen, made.aid, options.prefilter, {k: v for k, v in given.items() if "." in k})
     window = None if options.window is None else tuple(options.window)
     study = Study(
         made,

@@ -16,7 +16,7 @@ from jax.experimental import multihost_utils
 
 from jaxalign.errors import UserError
 
-__all__ = ["agreed", "gathered", "is_first", "join", "placed", "use_all_cores"]
+__all__ = ["agreed", "everyone", "is_first", "join", "placed", "use_all_cores"]
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
@@ -79,20 +79,16 @@ def agreed(value: np.ndarray) -> np.ndarray:
     return np.asarray(multihost_utils.broadcast_one_to_all(value))
 
 
-def gathered(tree: Any, blocks: int) -> Any:
-    """The blocks of all processes in their order, on every host.
-
-    Args:
-        tree: arrays whose first axis are the blocks of this process, every `process_count`-th one.
-        blocks: of all processes together.
-    """
-    processes = jax.process_count()
-    if processes == 1:
-        return tree
-    most = -(-blocks // processes)
-
-    def filled(x: np.ndarray) -> np.ndarray:  # all processes must bring the same shape
-        return np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
-
-    everyone = multihost_utils.process_allgather(jax.tree.map(filled, tree))
-    return jax.tree.map(lambda x: np.asarray(x).swapaxes(0, 1).reshape(-1, *x.shape[2:])[:blocks], everyone)
+def everyone(tree: Any) -> list[Any]:
+    """The arrays (NumPy) of each process, in every process: in one message, whose size is that of the tree alone."""
+    if jax.process_count() == 1:
+        return [tree]
+    leaves, structure = jax.tree.flatten(tree)
+    message = np.concatenate([np.ascontiguousarray(x).reshape(-1).view(np.uint8) for x in leaves])
+    ends = np.cumsum([x.nbytes for x in leaves])
+    out = []
+    for received in np.asarray(multihost_utils.process_allgather(message)):
+        parts = np.split(received, ends[:-1])
+        arrays = [part.copy().view(x.dtype).reshape(x.shape) for part, x in zip(parts, leaves, strict=True)]
+        out.append(jax.tree.unflatten(structure, arrays))
+    return out

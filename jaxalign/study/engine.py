@@ -144,12 +144,36 @@ class _Collected:
         return Result(study, out)
 
 
-def _stacked(parts: list[dict[str, Tally]], blocks: int) -> dict[str, Tally]:
-    """The tallies of a chunk, in the order of its blocks, from those of this process; bins summed."""
-    out = {}
+def _stacked(parts: list[dict[str, Tally]], blocks: int, most: int) -> dict[str, Tally]:
+    """The tallies of a chunk in the order of its blocks, its bins summed.
+
+    Args:
+        parts: those of the blocks of this process: every `process_count`-th one, at least one (if it has none, of any).
+        blocks: of all processes in this chunk.
+        most: blocks of a process in any chunk.
+    """
+    processes, rank = jax.process_count(), jax.process_index()
+    own = len(range(rank, blocks, processes))
+
+    def filled(x: np.ndarray) -> np.ndarray:  # all messages have one shape
+        return np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
+
+    sent = {}
     for label in parts[0]:
-        whole = devices.gathered(jax.tree.map(lambda *x: np.stack(x), *(part[label] for part in parts)), blocks)
-        out[label] = eqx.tree_at(lambda t: t.bins, whole, np.sum(whole.bins, axis=0, dtype=np.int64))
+        whole = jax.tree.map(lambda *x: np.stack(x), *(part[label] for part in parts))
+        bins = np.sum(whole.bins[:own], axis=0, dtype=np.int64)
+        rest = eqx.tree_at(lambda t: t.bins, whole, None)
+        sent[label] = (jax.tree.map(filled, rest) if processes > 1 else rest, bins)
+    received = devices.everyone(sent)
+
+    def in_order(*x: np.ndarray) -> np.ndarray:
+        return np.stack(x, axis=1).reshape(-1, *x[0].shape[1:])[:blocks]
+
+    out = {}
+    for label in sent:
+        whole = jax.tree.map(in_order, *(one[label][0] for one in received))
+        bins = sum(one[label][1] for one in received)
+        out[label] = eqx.tree_at(lambda t: t.bins, whole, bins, is_leaf=lambda x: x is None)
     return out
 
 
@@ -212,7 +236,7 @@ def run(
     with bar, ThreadPoolExecutor(len(here)) as pool:
 
         def begin(first: int, blocks: int) -> list[Future[dict[str, Tally]]]:
-            own = range(first + jax.process_index(), first + blocks, jax.process_count())
+            own = range(first + jax.process_index(), first + blocks, jax.process_count()) or range(first, first + 1)
             return [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
 
         plan = list(_chunks(done, per_chunk))
@@ -233,7 +257,7 @@ def run(
                     raise
             finished = blocks if not interrupted else len(parts)
             if finished:
-                part = _stacked(parts, finished)
+                part = _stacked(parts, finished, per_chunk // jax.process_count())
                 collected.add(first, part)
                 try:
                     _write(store, study, first, finished, part, collected)

@@ -59,12 +59,9 @@ class Store:
                     f"{folder} holds a study with other settings ({'; '.join(changed[:3])}{more}): give those to "
                     "resume it, or name another folder"
                 )
-        elif self.folder.is_dir() and any(self.folder.iterdir()) and not resume:
-            foreign = next(self.folder.iterdir()).name
-            if self.chunks.is_dir() and any(self.chunks.iterdir()):
-                raise UserError(f"{folder} holds chunks of a study but no study.json: name another folder")
-            if foreign in ("results.npz", "results.md", "results.csv", "results.png"):
-                raise UserError(f"{folder} holds results of another study: name another folder")
+        else:
+            for there in (*self.folder.glob("results.*"), *self.chunks.glob("*.npz")):
+                raise UserError(f"{there}: of another study, whose study.json is missing: name another folder")
         try:
             self.chunks.mkdir(parents=True, exist_ok=True)
         except OSError as error:
