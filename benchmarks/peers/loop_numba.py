@@ -116,12 +116,15 @@ def gravity(sin2, h):
 
 
 @njit(fastmath=True)
-def align(dtheta, dvel, velocity, biases, sds, noise, seed, dt, samples, every, lat, h, out):
+def align(dtheta, dvel, velocity, biases, sds, noise, seed, plain, dt, samples, every, lat, h, out):
     """One run: quaternions q_nb at every `every`-th epoch into out (K, 4).
 
     Errors of the sensors are added on the way: biases (2, 3) per sample, sds (gyro, accelerometer, aid); the noise is
-    drawn here if `noise` is empty, else taken from it: 6 numbers a sample, then 3 an epoch.
+    drawn here if `noise` is empty (by numba's own generator if `plain`, else by the ziggurat), else taken from it: 6
+    numbers a sample, then 3 an epoch.
     """
+    if plain:
+        np.random.seed(seed)  # noqa: NPY002 - what numba compiles
     state = seeded(seed)
     n = dtheta.shape[0]
     epochs = n // samples
@@ -140,7 +143,7 @@ def align(dtheta, dvel, velocity, biases, sds, noise, seed, dt, samples, every, 
                 for j in range(2):
                     for a in range(6):
                         if noise.size == 0:
-                            z[j, a] = normal(state)
+                            z[j, a] = np.random.standard_normal() if plain else normal(state)  # noqa: NPY002
                         else:
                             z[j, a] = noise[6 * (i + j) + a]
                 th1 = (
@@ -176,7 +179,7 @@ def align(dtheta, dvel, velocity, biases, sds, noise, seed, dt, samples, every, 
         length = step if k > 0 else 0.0
         for a in range(3):
             if noise.size == 0:
-                z[0, a] = normal(state)
+                z[0, a] = np.random.standard_normal() if plain else normal(state)  # noqa: NPY002
             else:
                 z[0, a] = noise[6 * n + 3 * k + a]
         v = (
@@ -243,7 +246,7 @@ def align(dtheta, dvel, velocity, biases, sds, noise, seed, dt, samples, every, 
 
 
 @njit(parallel=True, fastmath=True)
-def study(dtheta, dvel, velocity, biases, sds, runs, dt, samples, every, lat, h):
+def study(dtheta, dvel, velocity, biases, sds, runs, plain, dt, samples, every, lat, h):
     """Many runs on all threads: (runs, K, 4); the biases with a random sign on each axis."""
     out = np.empty((runs, velocity.shape[0] // every + 1, 4))
     for run in prange(runs):
@@ -251,5 +254,5 @@ def study(dtheta, dvel, velocity, biases, sds, runs, dt, samples, every, lat, h)
         for i in range(2):
             for j in range(3):
                 signed[i, j] = biases[i, j] if normal(coin) < 0 else -biases[i, j]
-        align(dtheta, dvel, velocity, signed, sds, np.empty(0), run + 1, dt, samples, every, lat, h, out[run])
+        align(dtheta, dvel, velocity, signed, sds, np.empty(0), run + 1, plain, dt, samples, every, lat, h, out[run])
     return out
