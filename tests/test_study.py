@@ -229,6 +229,51 @@ def test_interrupted(study, result, tmp_path, monkeypatch):
     assert_identical(run(study, out=tmp_path, resume=True), result)
 
 
+def test_a_folder_has_one_study_at_a_time(study, tmp_path):
+    from jaxalign.study.store import Store
+
+    first = Store(tmp_path, study.settings, resume=False)
+    with pytest.raises(UserError, match="a study is running in it"):
+        run(study, out=tmp_path, resume=True)
+    first.close()
+    run(study, out=tmp_path, resume=True)
+
+
+def test_nothing_to_resume_is_said(study, tmp_path):
+    said = []
+    run(study, out=tmp_path / "new", resume=True, warn=said.append)
+    assert "holds no study to resume" in said[0]
+
+
+def test_interrupted_while_writing(study, result, tmp_path, monkeypatch):
+    """Ctrl-C waits until the chunk is on disk."""
+    write = engine.Store.write
+
+    def slow(store, *what):
+        signal.raise_signal(signal.SIGINT)
+        write(store, *what)
+
+    monkeypatch.setattr(engine.Store, "write", slow)
+    with pytest.raises(Interrupted, match="interrupted after 32 of 100 runs, on disk"):
+        run(study, out=tmp_path, chunk=32)
+    monkeypatch.undo()
+    assert len(list((tmp_path / "chunks").iterdir())) == 1
+    assert_identical(run(study, out=tmp_path, resume=True), result)
+
+
+def test_an_aid_whose_noise_is_not_stated():
+    """Estimated, as `align` does: with zero no vector would have a weight."""
+    made = eqx.tree_at(lambda s: s.aid_sd, scenario("dvl-sturn", **SHORT), jax.numpy.zeros(()))
+    found = run(Study(made, ["oba", "roba"], runs=8))
+    assert np.abs(found["roba"].end[:, 2]).max() < 3 * np.abs(found["oba"].end[:, 2]).max()
+
+
+def test_blocks_are_small_where_runs_are_large():
+    long = Study(scenario("sway", duration=600.0), ["gravity_q"], runs=100_000, every=1)
+    assert long.block < Study(scenario("dvl-sturn"), ["oba"], runs=100_000).block == 1024
+    assert long.block >= 16
+
+
 def test_perfect_sensors_are_no_trouble(made):
     perfect = noiseless(scenario("dvl-sturn", **SHORT))
     found = run(Study(perfect, ["oba"], runs=3))["oba"]
@@ -295,6 +340,7 @@ def test_prefilters_need_samples():
         ({"tolerance_deg": 0.0}, "must be a positive number of degrees"),
         ({"window": (50.0, 20.0)}, "no read-out is in it"),
         ({"window": (51.0, 59.0)}, "they come every 10 s until 60 s"),
+        ({"window": (60.0, 70.0)}, "they come every 10 s until 60 s"),
         ({"window": 3}, "two times in s"),
         ({"chunk": 0}, "chunk = 0"),
     ],
@@ -361,7 +407,7 @@ def test_convergence_of_few():
     some = np.full((10, 3), np.inf)
     some[:4] = 20.0
     zeros = np.zeros((10, 3))
-    m = MethodStatistics(*(None,) * 1, 10, *(None,) * 6, zeros, zeros, some)  # pyright: ignore[reportArgumentType]
+    m = MethodStatistics(np.array([10.0, 20.0]), 10, *(None,) * 6, zeros, zeros, some)
     assert np.isinf(m.convergence.value).all()
     np.testing.assert_allclose(m.share_converged.value, 0.4)
 
@@ -408,6 +454,28 @@ def test_two_processes_are_the_same_to_the_last_bit(result, tmp_path):
 
 
 @pytest.mark.slow
+def test_processes_with_different_flags_refuse(tmp_path):
+    import socket
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    together = ["--distributed", f"127.0.0.1:{port}", "--processes", "2"]
+    both = [
+        subprocess.Popen(
+            [*COMMAND, "--runs", str(100 + rank), *together, "--rank", str(rank)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank in (0, 1)
+    ]
+    said = [process.communicate(timeout=120) for process in both]
+    assert [process.returncode for process in both] == [2, 2], said
+    assert all("use the same flags" in errors and "Traceback" not in errors for _, errors in said)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_killed_and_resumed(how, tmp_path):
     """At any moment, here as soon as a chunk is there; the resumed study is the one that was never stopped."""
@@ -447,7 +515,9 @@ def test_killed_and_resumed(how, tmp_path):
         (["--rank", "1"], "go with --distributed"),
         (["--distributed", "127.0.0.1:9", "--processes", "2"], "the rank of this one"),
         (["--distributed", "here", "--processes", "2", "--rank", "0"], "write it as host:port"),
-        (["--out", "/dev/null/x"], "cannot be made"),
+        (["--out", "/dev/null/x"], "cannot be used"),
+        (["--set", "name=x"], "no option 'name'"),
+        (["--distributed", "7777", "--processes", "2", "--rank", "0"], "write it as host:port"),
         (["--out", "/dev/null"], "is not a folder"),
     ],
 )
@@ -466,6 +536,28 @@ def test_variants_of_one_method():
     found = _methods("roba, wide=roba,oba", "body", None, {"weight.gamma": "3", "wide:weight.gamma": "5"})
     assert list(found) == ["roba", "wide", "oba"]
     assert (float(found["roba"].weight.gamma), float(found["wide"].weight.gamma)) == (3.0, 5.0)
+
+
+def test_a_list_of_durations():
+    with pytest.raises(UserError, match="duration: must be one number"):
+        scenario("dvl-sturn", duration=[60, 60])
+
+
+def test_settings_find_their_place():
+    from jaxalign.cli.study import _sorted
+
+    given = {"outliers": "fixed", "weight.gamma": "3", "b:gap": "1", "heading_margin": "2", "duration": "60"}
+    of_scenario, of_methods = _sorted(given, "dvl-sturn")
+    assert list(of_scenario) == ["outliers", "duration"]
+    assert list(of_methods) == ["weight.gamma", "b:gap", "heading_margin"]
+
+
+def test_nobody_answers(monkeypatch):
+    from jaxalign.study import devices
+
+    monkeypatch.setattr(devices, "_PATIENCE_S", 0)
+    with pytest.raises(UserError, match="nobody answers at 127"):
+        devices.join("127.0.0.1:9", 2, 1)
 
 
 @pytest.mark.slow

@@ -41,6 +41,17 @@ def _require_device(jax: ModuleType) -> None:
         raise UserError(f"JAX finds no device (JAX_PLATFORMS={where!r}): unset it or set it to cpu; {error}") from None
 
 
+def _left(code: int) -> int:
+    """The exit code; one of several processes goes at once: JAX would first wait for the others, and they for it."""
+    import jax
+
+    if jax.distributed.is_initialized():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     import jax
@@ -56,10 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except UserError as error:
         print(f"jaxalign: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return _left(2)
     except KeyboardInterrupt:
         print("jaxalign: interrupted", file=sys.stderr)
-        return 130
+        return _left(130)
     except OSError as error:
         if isinstance(error, BrokenPipeError):  # the reader of our output has gone (head, less): not an error
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -103,11 +103,10 @@ def _run(options: argparse.Namespace) -> int:
         from jaxalign import plots
 
         plots.require()
-    given = assignments(options.set)
-    of_scenario = {name: value for name, value in given.items() if "." not in name or name.endswith(".toml")}
+    of_scenario, of_methods = _sorted(assignments(options.set), options.scenario)
     made = chosen_scenario(options.scenario, of_scenario)
     chosen = options.methods or ("gravity_q,velocity_q" if made.aid == "static" else "oba,centred_oba")
-    methods = _methods(chosen, made.aid, options.prefilter, {k: v for k, v in given.items() if "." in k})
+    methods = _methods(chosen, made.aid, options.prefilter, of_methods)
     window = None if options.window is None else tuple(options.window)
     study = Study(
         made,
@@ -137,6 +136,18 @@ def _run(options: argparse.Namespace) -> int:
     for path in written:
         print(f"wrote {Path(path)}")
     return 0
+
+
+def _sorted(given: Mapping[str, str], scenario: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Settings of the scenario, and of methods: what has a dot or a colon, or is the name of a parameter alone."""
+    from jaxalign.methods import RECIPES
+    from jaxalign.parameters import parameters
+    from jaxalign.simulate import scenario_options, scenarios
+
+    known = scenario_options(scenario) if scenario in scenarios() else {}
+    bare = {path for recipe in RECIPES.values() for path in parameters(recipe.make(recipe.aids[0])) if "." not in path}
+    mine = {k: v for k, v in given.items() if "." in k or ":" in k or (k in bare and k not in known)}
+    return {k: v for k, v in given.items() if k not in mine}, mine
 
 
 def _print(result: Any, table: Any) -> None:

@@ -13,7 +13,7 @@
     [site]
     lat_deg = 54.3               # with lon_deg, h (m)
 
-    [gyro]                       # per axis or three numbers
+    [gyro]                       # the bias one number or three
     bias_deg_h = 0.02
     walk_deg_sqrt_h = 0.005
     noise_deg_h = 0.0            # per sample
@@ -138,7 +138,7 @@ def _scenario(table: Mapping[str, Any], stem: str) -> Scenario:
     if "epoch" in table or ("imu_rate" in table and "base" in table):
         epoch = _number(table, "epoch") if "epoch" in table else parts["aid_every"] / base.imu_rate  # pyright: ignore[reportPossiblyUnboundVariable]
         every = epoch * parts["imu_rate"]
-        if every < 1 or abs(every - round(every)) > 1e-6:
+        if not 1 <= every < np.inf or abs(every - round(every)) > 1e-6:
             raise UserError(
                 f"epoch: {epoch:g} s are {every:g} IMU samples at {parts['imu_rate']:g} Hz: not a whole number"
             )

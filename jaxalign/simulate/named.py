@@ -259,7 +259,7 @@ def scenario_options(name: str) -> dict[str, Any]:
     return {key: p.default for key, p in inspect.signature(_builder(name)).parameters.items()}
 
 
-def scenario(name: str, **options: Any) -> Scenario:
+def scenario(name: str, /, **options: Any) -> Scenario:
     """A scenario by its name.
 
     - ``dvl-sturn``, ``dvl-accturn``, ``dvl-sway``: `outliers` "none" | "fixed" | "segment"; `single_axis`
@@ -286,7 +286,10 @@ def scenario(name: str, **options: Any) -> Scenario:
             raise UserError(f"scenario {name!r} has no option {key!r}; {nearest(key, known)}")
     options = {key: parsed(value, known[key]) for key, value in options.items()}
     if "duration" in options:
-        options["duration"] = float(leaf(options["duration"], "duration", low=0.0))
+        seconds = leaf(options["duration"], "duration", low=0.0)
+        if seconds.ndim:
+            raise UserError(f"duration: must be one number, got {options['duration']!r}")
+        options["duration"] = float(seconds)
     return build(**options)
 
 

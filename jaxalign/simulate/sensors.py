@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.earth import STANDARD_GRAVITY
+from jaxalign.errors import UserError
 from jaxalign.simulate.arguments import choice, leaf
 from jaxalign.simulate.random import normals
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
@@ -31,6 +32,12 @@ def white(key: PRNGKeyArray, count: int) -> Float[Array, "count 3 *runs"]:
     widened.
     """
     return normals(key, 3 * count).astype(jnp.float64).reshape(count, 3, *key.shape)
+
+
+def _one(value: Array, what: str) -> Array:
+    if value.ndim:
+        raise UserError(f"{what}: one number for the three axes is expected, got {value.shape[0]}")
+    return value
 
 
 class TriadErrors(eqx.Module):
@@ -51,8 +58,8 @@ class TriadErrors(eqx.Module):
 
     def __init__(self, bias: Any = 0.0, density: Any = 0.0, sample_sd: Any = 0.0, kind: BiasKind = "sign"):
         self.bias = jnp.broadcast_to(leaf(bias, "bias"), (3,))
-        self.density = leaf(density, "noise density", low=0.0)
-        self.sample_sd = leaf(sample_sd, "noise per sample", low=0.0)
+        self.density = _one(leaf(density, "noise density", low=0.0), "noise density")
+        self.sample_sd = _one(leaf(sample_sd, "noise per sample", low=0.0), "noise per sample")
         self.kind = choice(kind, "kind of bias", _KINDS)
 
     def draw_bias(self, key: PRNGKeyArray) -> Float[Array, " 3"]:

@@ -2,8 +2,9 @@
 
     result = run(Study("dvl-sturn", ["oba", "roba"], runs=1000))
 
-Simulate, align and reduce happen on the device, block by block: memory does not grow with the runs, and the result is
-the same, to the last bit, for any chunk, any number of devices or processes, and after an interruption.
+Simulate, align and reduce happen on the device, block by block: of a run nine numbers are kept, of a block its sums.
+The result is the same, to the last bit, for any chunk, any number of devices or processes of one kind, and after an
+interruption.
 """
 
 from jaxalign.study.engine import Interrupted, run

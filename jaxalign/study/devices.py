@@ -7,6 +7,8 @@ be optimised otherwise than that of a single device, and its results differ in t
 from __future__ import annotations
 
 import os
+import socket
+import time
 from contextlib import suppress
 from typing import Any
 
@@ -15,9 +17,11 @@ import numpy as np
 from jax.experimental import multihost_utils
 
 from jaxalign.errors import UserError
+from jaxalign.io.files import first_line
 
 __all__ = ["agreed", "everyone", "is_first", "join", "placed", "use_all_cores"]
 
+_PATIENCE_S = 120
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
@@ -40,13 +44,33 @@ def join(coordinator: str | None = None, processes: int | None = None, rank: int
         )
     if processes is not None and rank is not None and not 0 <= rank < processes:
         raise UserError(f"distributed: rank {rank} of {processes} processes: it must be from 0 to {processes - 1}")
-    if coordinator is not None and not coordinator.rpartition(":")[2].isdigit():
-        raise UserError(f"distributed: coordinator {coordinator!r}: write it as host:port")
+    if coordinator is not None:
+        host, _, port = coordinator.rpartition(":")
+        if not host or not port.isdigit():
+            raise UserError(f"distributed: coordinator {coordinator!r}: write it as host:port")
+        if rank:
+            _answers(host.strip("[]"), int(port))
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
-        jax.distributed.initialize(coordinator, processes, rank, initialization_timeout=120)
-    except (RuntimeError, ValueError) as error:
-        raise UserError(f"distributed: the processes did not come together: {str(error).splitlines()[0]}") from None
+        jax.distributed.initialize(coordinator, processes, rank, initialization_timeout=_PATIENCE_S)
+    except Exception as error:
+        raise UserError(f"distributed: the processes did not come together: {first_line(error)}") from None
+    if jax.device_count() != jax.process_count() * jax.local_device_count():
+        raise UserError("distributed: all processes need the same number of devices (on a CPU, of cores they may use)")
+
+
+def _answers(host: str, port: int) -> None:
+    """Wait for process 0: JAX itself would end with a crash report."""
+    end = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            socket.create_connection((host, port), timeout=5).close()
+        except OSError as error:
+            if time.monotonic() > end:
+                raise UserError(f"distributed: nobody answers at {host}:{port} ({error}): start process 0") from None
+            time.sleep(0.2)
+        else:
+            return
 
 
 def use_all_cores() -> None:
@@ -76,7 +100,14 @@ def agreed(value: np.ndarray) -> np.ndarray:
     """What process 0 has, in every process."""
     if jax.process_count() == 1:
         return value
-    return np.asarray(multihost_utils.broadcast_one_to_all(value))
+    return _together(lambda: multihost_utils.broadcast_one_to_all(value))
+
+
+def _together(collective: Any) -> np.ndarray:
+    try:
+        return np.asarray(collective())
+    except Exception as error:
+        raise UserError(f"distributed: another process has stopped, see its message ({first_line(error)})") from None
 
 
 def everyone(tree: Any) -> list[Any]:
@@ -87,7 +118,7 @@ def everyone(tree: Any) -> list[Any]:
     message = np.concatenate([np.ascontiguousarray(x).reshape(-1).view(np.uint8) for x in leaves])
     ends = np.cumsum([x.nbytes for x in leaves])
     out = []
-    for received in np.asarray(multihost_utils.process_allgather(message)):
+    for received in _together(lambda: multihost_utils.process_allgather(message)):
         parts = np.split(received, ends[:-1])
         arrays = [part.copy().view(x.dtype).reshape(x.shape) for part, x in zip(parts, leaves, strict=True)]
         out.append(jax.tree.unflatten(structure, arrays))

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -132,12 +138,16 @@ class _Collected:
                 fields = {f: getattr(tallied, f)[i] for f in Tally.__dataclass_fields__ if f != "bins"}
                 self.blocks[label][first + i] = Tally(**fields, bins=None)  # pyright: ignore[reportArgumentType]
 
+    def runs(self, study: Study) -> int:
+        """How many are done."""
+        return sum(min(study.block, study.runs - i * study.block) for i in next(iter(self.blocks.values())))
+
     def result(self, study: Study, jobs: list[_Job]) -> Result:
         out = {}
         for job in jobs:
             kept = self.blocks[job.label]
             parts = [kept[i] for i in sorted(kept)]
-            runs = sum(min(study.block, study.runs - i * study.block) for i in kept)
+            runs = self.runs(study)
             stacked = jax.tree.map(lambda *x: np.stack(x), *parts)
             stacked = eqx.tree_at(lambda t: t.bins, stacked, self.bins[job.label], is_leaf=lambda x: x is None)
             out[job.label] = statistics_of(job.judge[0], runs, stacked)
@@ -210,37 +220,41 @@ def run(
     speaks = devices.is_first()
     collected = _Collected(list(study.methods))
     done = np.zeros(-(-study.runs // study.block), bool)
-    store, refusal = None, None
+    here = jax.local_devices()
+    side_by_side = len(here) * jax.process_count()
+    per_chunk = -(-(chunk or _CHUNK) // (study.block * side_by_side)) * side_by_side
+    _agree_on(study, per_chunk, len(here))
+    store, refusal, found = None, None, {}
     try:
-        store = Store(out, study.settings, resume) if out is not None and speaks else None
+        if out is not None and speaks:
+            if resume and not (Path(out) / "study.json").exists():
+                warn(f"{out} holds no study to resume: a new one")
+            store = Store(out, study.settings, resume)
+            found, damaged = store.read()
+            for line in damaged:
+                warn(line)
     except UserError as error:
         refusal = error
     if devices.agreed(np.array(refusal is not None)):
         raise refusal or UserError("process 0 has refused: see its message")
-    if store is not None:
-        found, damaged = store.read()
-        for line in damaged:
-            warn(line)
-        for (first, stop), part in found.items():
-            blocks = slice(first // study.block, -(-stop // study.block))
-            if first % study.block == 0 and stop <= study.runs and not done[blocks].any():
-                collected.add(blocks.start, part)
-                done[blocks] = True
+    for (first, stop), part in found.items():
+        blocks = slice(first // study.block, -(-stop // study.block))
+        if first % study.block == 0 and stop <= study.runs and not done[blocks].any():
+            collected.add(blocks.start, part)
+            done[blocks] = True
     done = devices.agreed(done)
 
-    here = jax.local_devices()
-    side_by_side = len(here) * jax.process_count()
-    per_chunk = -(-(chunk or _CHUNK) // (study.block * side_by_side)) * side_by_side
     workers = [_Worker(study, jobs, device) for device in here]
     bar = _bar(progress and speaks, study.runs, min(int(done.sum()) * study.block, study.runs))
-    with bar, ThreadPoolExecutor(len(here)) as pool:
+    pool = ThreadPoolExecutor(len(here))
 
-        def begin(first: int, blocks: int) -> list[Future[dict[str, Tally]]]:
-            own = range(first + jax.process_index(), first + blocks, jax.process_count()) or range(first, first + 1)
-            return [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
+    def begin(first: int, blocks: int) -> list[Future[dict[str, Tally]]]:
+        own = range(first + jax.process_index(), first + blocks, jax.process_count()) or range(first, first + 1)
+        return [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
 
-        plan = list(_chunks(done, per_chunk))
-        waiting = [begin(*plan[0])] if plan else []
+    plan = list(_chunks(done, per_chunk))
+    waiting = [begin(*plan[0])] if plan else []
+    try:
         for i, (first, blocks) in enumerate(plan):
             parts: list[dict[str, Tally]] = []
             interrupted = False
@@ -251,22 +265,51 @@ def run(
                 if i + 1 < len(plan):  # the devices go on while this chunk is written
                     waiting.append(begin(*plan[i + 1]))
             except KeyboardInterrupt:
-                pool.shutdown(wait=False, cancel_futures=True)
                 interrupted = True
                 if jax.process_count() > 1:
                     raise
-            finished = blocks if not interrupted else len(parts)
-            if finished:
-                part = _stacked(parts, finished, per_chunk // jax.process_count())
-                collected.add(first, part)
-                try:
+            with _uninterrupted() as asked:
+                finished = blocks if not interrupted else len(parts)
+                if finished:
+                    part = _stacked(parts, finished, per_chunk // jax.process_count())
+                    collected.add(first, part)
                     _write(store, study, first, finished, part, collected)
-                except UserError:
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    raise
-            if interrupted:
+            if interrupted or asked:
                 raise _interrupted(study, jobs, collected, store) from None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        bar.close()
+        if store is not None:
+            store.close()
     return collected.result(study, jobs) if speaks else None
+
+
+def _agree_on(study: Study, *how: int) -> None:
+    """All processes must do the same study in the same pieces.
+
+    Raises:
+        UserError: they do not.
+    """
+    text = json.dumps([study.settings, *how], sort_keys=True)
+    mine = np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8)
+    if any(not np.array_equal(mine, other) for other in devices.everyone(mine)):
+        raise UserError(
+            "distributed: the processes were given different studies, chunks or devices: use the same flags"
+        )
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[list[int]]:
+    """Ctrl-C waits for the end of the block; the list is then not empty."""
+    asked: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _chunks(done: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
@@ -292,16 +335,16 @@ def _write(
         try:
             store.write(start, stop, part)
         except UserError as error:
-            kept = (sum(map(len, collected.blocks.values())) // len(collected.blocks) - blocks) * study.block
+            kept = collected.runs(study) - (stop - start)
             failure = UserError(f"{error}; {kept} of {study.runs} runs are on disk: mend it and resume (--resume)")
     if devices.agreed(np.array(failure is not None)):
         raise failure or UserError("process 0 could not write its results")
 
 
 def _interrupted(study: Study, jobs: list[_Job], collected: _Collected, store: Store | None) -> Interrupted:
-    kept = min((len(blocks) for blocks in collected.blocks.values()), default=0)
+    kept = collected.runs(study)
     where = f", on disk in {store.folder}: go on with --resume" if store is not None and kept else ""
-    message = f"interrupted after {min(kept * study.block, study.runs)} of {study.runs} runs{where}"
+    message = f"interrupted after {kept} of {study.runs} runs{where}"
     return Interrupted(message, collected.result(study, jobs) if kept else None)
 
 

@@ -8,7 +8,6 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxalign.aligner import estimate_aid_sd
@@ -22,6 +21,7 @@ __all__ = ["FIDELITIES", "Feed", "Fidelity", "World", "feed_of", "run_axes", "ru
 
 Fidelity = Literal["increments", "samples"]
 FIDELITIES = ("increments", "samples")
+_LEAST_SD = 1e-6  # m/s, of a perfect aid: methods divide by it
 _INTEGRATED_LANES, _FILTERED_LANES = 64, 8  # runs side by side at IMU rate: an interval of each, or all 3 MB
 
 
@@ -147,7 +147,8 @@ _first = eqx.filter_jit(lambda world, keys: world.epochs(keys))
 def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity, exact: Truth | None = None) -> World:
     """Prepare the runs of a scenario for a feed.
 
-    A standing vehicle's noise is estimated from run 0 as measured, as :func:`jaxalign.align` does with a log.
+    The noise of a standing vehicle, or of an aid without a stated one (``aid_sd`` 0), is estimated from run 0 as
+    measured, as :func:`jaxalign.align` does with a log.
 
     Args:
         made: what to simulate.
@@ -171,8 +172,8 @@ def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity,
     made = dataclasses.replace(made, aid=feed.aid)  # a standing vehicle has no use for its aid
     intervals = intervals_of(exact, feed.samples) if fidelity == "increments" else None
     world = World(made, exact, feed, intervals, made.aid_sd)
-    if feed.aid != "static":
+    if feed.aid != "static" and float(made.aid_sd) > 0:
         return world
     raw = World(made, exact, Feed(feed.aid, feed.samples), intervals, jnp.ones(()))
     epochs = jax.tree.map(lambda x: x[..., 0] if x.ndim > 1 else x, _first(raw, run_keys(seed, jnp.zeros(1, int))))
-    return eqx.tree_at(lambda w: w.aid_sd, world, jnp.asarray(np.float64(estimate_aid_sd(epochs))))
+    return eqx.tree_at(lambda w: w.aid_sd, world, jnp.asarray(max(_LEAST_SD, estimate_aid_sd(epochs)), jnp.float64))

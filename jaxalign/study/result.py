@@ -28,6 +28,8 @@ def shown(value: float, error: float = np.nan, unit: str = "") -> str:
     """A number with its standard error, to two digits of it."""
     if not np.isfinite(value):
         return "never" if np.isposinf(value) and unit == " s" else "-"
+    if np.isposinf(error):
+        return f"{value:.3g} ± inf{unit}"
     if not (np.isfinite(error) and error > 0):
         return f"{value:.3g}{unit}"
     digits = max(0, 1 - int(np.floor(np.log10(error))))
@@ -100,9 +102,9 @@ class Result:
         lines += [" | ".join(["", *row, ""]).strip() for row in rows]
         lines += [
             "",
-            "Errors are estimate minus truth; ± is the Monte Carlo standard error. All methods see the same runs; the "
-            "ratio's error is that of the paired runs. Failed: runs without an attitude at the end, or with a number "
-            "that is not finite.",
+            "Errors are estimate minus truth; ± is the Monte Carlo standard error (missing: too few runs to tell). All "
+            "methods see the same runs; the ratio's error is that of the paired runs. Failed: runs without an attitude "
+            "at the end, or with a number that is not finite.",
             "",
         ]
         return "\n".join(lines)

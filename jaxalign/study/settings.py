@@ -84,10 +84,13 @@ class Study:
 
     @property
     def block(self) -> int:
-        """Runs of a block, the unit of work: it depends on the number of runs and the kind of device alone."""
-        largest = 1024 if jax.default_backend() == "cpu" else 16384
+        """Runs of a block, the unit of work: it depends on the study and the kind of device alone."""
+        most, memory = (1024, 1e8) if jax.default_backend() == "cpu" else (16384, 2e9)
+        made = self.scenario
+        a_run = 8 * (20 * made.epochs + 30 * (made.epochs // self.every + 1))  # bytes: what is drawn, what is read out
+        fits = 1 << max(4, int(memory // a_run).bit_length() - 1)
         quarter = -(-self.runs // 4)  # a few blocks, for a few devices
-        return min(largest, max(16, 1 << (quarter - 1).bit_length()))
+        return min(most, fits, max(16, 1 << (quarter - 1).bit_length()))
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -95,8 +98,8 @@ class Study:
         made = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return {
             "jaxalign": metadata.version("jaxalign"),
-            "jax": jax.__version__,
-            "platform": jax.default_backend(),
+            "jax": f"{jax.__version__}, jaxlib {metadata.version('jaxlib')}",
+            "device": jax.local_devices()[0].device_kind,
             "block": self.block,
             **described(made),
         }
@@ -168,7 +171,7 @@ def _check_window(window: Any, end: float, spacing: float) -> None:
     except (TypeError, ValueError):
         raise UserError(f"window = {window!r}: must be two times in s") from None
     last = np.floor(min(stop, end) / spacing + 1e-9) * spacing
-    if not 0 <= start < stop or not (max(start, 0.0) < last or abs(stop - end) < 1e-6):
+    if not 0 <= start < stop or not (start < last or start < end - 1e-6 <= stop):
         raise UserError(
             f"window = {start:g} .. {stop:g} s: no read-out is in it; they come every {spacing:g} s until {end:g} s"
         )

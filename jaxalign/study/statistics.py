@@ -31,7 +31,8 @@ class MethodStatistics:
         runs: how many.
         mean: (K, 3).
         rmse: (K, 3).
-        percentiles: (P, K, 3) of the absolute error, P as in `PERCENTILES`; from bins 1.8 % wide.
+        percentiles: (P, K, 3) of the absolute error, P as in `PERCENTILES`; from bins 1.8 % wide. Their error is NaN
+            where the runs are too few to tell.
         within: (K, 3) fraction of all runs whose absolute error is within the tolerance.
         undefined: (K,) fraction of the runs without an attitude (counted in no error).
         failed: (K,) fraction of the runs with a number that is not finite.
@@ -64,14 +65,18 @@ class MethodStatistics:
 
     @property
     def convergence(self) -> Estimate:
-        """(3,) median time of convergence of all runs, s; infinite where fewer than half of them converge."""
+        """(3,) median time of convergence of all runs, s; infinite where fewer than half of them converge.
+
+        The error is at least half a read-out interval; infinite where it may well be that fewer than half converge.
+        """
         ordered = np.sort(self.converged_s, axis=0)
         low, mid, high = (
             ordered[min(max(int(np.ceil(q * self.runs)) - 1, 0), self.runs - 1)]
             for q in (0.5 - 0.5 / np.sqrt(self.runs), 0.5, 0.5 + 0.5 / np.sqrt(self.runs))
         )
+        step = np.diff(self.time_s, prepend=0.0).max()  # times fall on read-outs
         with np.errstate(invalid="ignore"):
-            error = np.where(np.isfinite(high), (high - low) / 2, np.inf)
+            error = np.where(np.isfinite(high), np.maximum((high - low) / 2, step / 2), np.inf)
         return Estimate(mid, np.where(np.isfinite(mid), error, np.nan))
 
     @property
@@ -126,8 +131,9 @@ def _root(square: np.ndarray, error: np.ndarray) -> Estimate:
 
 
 def _share(count: np.ndarray, runs: int) -> Estimate:
-    share = count / runs
-    return Estimate(share, np.sqrt(share * (1 - share) / runs))
+    """A share; its error is that of the posterior of a uniform prior: not zero where all or none are counted."""
+    likely = (count + 1) / (runs + 2)
+    return Estimate(count / runs, np.sqrt(likely * (1 - likely) / (runs + 3)))
 
 
 def _percentiles(bins: np.ndarray, known: np.ndarray) -> Estimate:
@@ -149,5 +155,6 @@ def _percentiles(bins: np.ndarray, known: np.ndarray) -> Estimate:
         q = percentile / 100.0
         half = np.sqrt(q * (1 - q) / np.maximum(count, 1))
         values.append(at(q))
-        errors.append((at(np.minimum(q + half, 1.0)) - at(np.maximum(q - half, 0.0))) / 2)
+        spread = (at(np.minimum(q + half, 1.0)) - at(np.maximum(q - half, 0.0))) / 2
+        errors.append(np.where(q + half <= 1.0, spread, np.nan))  # too few runs to tell
     return Estimate(np.stack(values), np.stack(errors))

@@ -11,16 +11,15 @@ from __future__ import annotations
 import json
 import os
 import re
-import zipfile
-import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from jaxalign.errors import UserError
-from jaxalign.io.files import replacing
+from jaxalign.io.files import first_line, replacing
 from jaxalign.study.tally import Tally
 
 __all__ = ["Store"]
@@ -41,7 +40,8 @@ class Store:
         resume: go on with the study that is there.
 
     Raises:
-        UserError: it cannot be written; it holds a study and `resume` is not set; or one with other settings.
+        UserError: it cannot be written; a study is running in it; it holds one and `resume` is not set, or one with
+            other settings.
     """
 
     def __init__(self, folder: str | os.PathLike[str], settings: Mapping[str, Any], resume: bool):
@@ -64,13 +64,18 @@ class Store:
                 raise UserError(f"{there}: of another study, whose study.json is missing: name another folder")
         try:
             self.chunks.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(self.folder / ".lock")
+            for rest in (*self.folder.glob(".*.part"), *self.chunks.glob(".*.part")):  # of a write that was killed
+                rest.unlink(missing_ok=True)
         except OSError as error:
-            raise UserError(f"{folder}: cannot be made: {error.strerror or error}") from None
-        for rest in self.chunks.glob(".*.part"):  # of a write that was killed
-            rest.unlink(missing_ok=True)
+            raise UserError(f"{folder}: cannot be used: {error.strerror or error}") from None
         if not path.exists():
             with replacing(path) as stream:
                 stream.write(json.dumps(wanted, indent=1).encode())
+
+    def close(self) -> None:
+        """Let another study have the folder."""
+        self._lock.close()
 
     def write(self, first: int, stop: int, chunk: Chunk) -> None:
         """Put the blocks of the runs first ... stop - 1 on disk.
@@ -85,9 +90,17 @@ class Store:
             np.savez_compressed(stream, labels=np.array(list(chunk)), **arrays)
 
     def read(self) -> tuple[dict[tuple[int, int], Chunk], list[str]]:
-        """The finished chunks by (first, stop), and a line on each file that is damaged."""
+        """The finished chunks by (first, stop), and a line on each file that was damaged, which is removed.
+
+        Raises:
+            UserError: the folder cannot be read.
+        """
         found, damaged = {}, []
-        for path in sorted(self.chunks.iterdir()):
+        try:
+            paths = sorted(self.chunks.iterdir())
+        except OSError as error:
+            raise UserError(f"{self.chunks}: cannot be read: {error.strerror or error}") from None
+        for path in paths:
             name = _NAME.fullmatch(path.name)
             if name is None:
                 continue
@@ -98,11 +111,34 @@ class Store:
                         label: Tally(**{field: file[f"{i}.{field}"] for field in _FIELDS})
                         for i, label in enumerate(labels)
                     }
-            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-                damaged.append(f"{path} is damaged ({str(error).splitlines()[0]}): its runs are done again")
+            except Exception as error:  # a flipped bit of a zip file raises a dozen kinds
+                damaged.append(f"{path} is damaged ({first_line(error)}): its runs are done again")
+                with suppress(OSError):
+                    path.unlink()
                 continue
             found[int(name[1]), int(name[2]) + 1] = chunk
         return found, damaged
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """A lock that ends with the process, however it ends.
+
+    Raises:
+        UserError: another process has it.
+    """
+    stream = path.open("ab")
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        return stream
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        stream.close()
+        raise UserError(f"{path.parent}: a study is running in it: wait for its end") from None
+    except OSError:  # a file system without locks
+        pass
+    return stream
 
 
 def _settings(path: Path) -> Any:

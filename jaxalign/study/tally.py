@@ -1,6 +1,6 @@
 """What is kept of the runs of a block: sums and counts over the runs, and a few numbers of each run.
 
-All statistics of a study come from these, so that its memory does not grow with its runs. The sums are over a block of
+All statistics of a study come from these, so that its memory hardly grows with its runs. The sums are over a block of
 fixed size, and blocks are added on the host in the order of their runs: the result does not depend on chunks, devices
 or interruptions, to the last bit.
 """
