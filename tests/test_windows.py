@@ -112,7 +112,7 @@ def test_tunables_may_be_traced(log):
     assert len({float(x) for x in together}) == 3
     slope, h = jax.jit(jax.grad(built))(1.0), 1e-4
     value = jax.jit(built)
-    # The weights look at the first attitudes, whose yaw has an eigengap of 1e-8: their derivatives know half the digits.
+    # The weights look at the first attitudes; with an eigengap of 1e-8 their derivatives know half the digits.
     assert float(slope) == pytest.approx(float(value(1 + h) - value(1 - h)) / (2 * h), rel=1e-4)
 
 
