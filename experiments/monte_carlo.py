@@ -7,6 +7,7 @@ differences between methods and between conditions are paired.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -101,7 +102,9 @@ def monte_carlo(
             for label, method in methods.items():
                 feed = feeds[label]
                 if feed.name not in worlds:
-                    worlds[feed.name] = world_of(made, feed, jax.random.key(seed), "samples", exact)
+                    # Without its name: scenarios that differ in numbers alone share their programs.
+                    unnamed = dataclasses.replace(made, name="scenario")
+                    worlds[feed.name] = world_of(unnamed, feed, jax.random.key(seed), "samples", exact)
                 if feed.name not in measured:
                     measured[feed.name] = _epochs(worlds[feed.name], some)
                 where = rows_of(made, feed, every if isinstance(every, int) else every[label])
