@@ -221,7 +221,7 @@ class Aligner(eqx.Module):
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     """All epochs; rows at epoch 0, every ``every``-th epoch and the last one."""
     # Feedback of the attitude must not starve, whatever is asked for: the transport rate can wait some epochs, a weight
-    # that looks at residuals cannot (on dvl-sturn with outliers roba then loses a run in a hundred).
+    # that looks at residuals cannot: early outliers would pass while it has no attitude.
     every = max(1, min(every, len(epochs) - 1))
     most = 1 if aligner.weight.looks_at_attitude else _FEEDBACK
     stride = max(d for d in range(1, most + 1) if every % d == 0)

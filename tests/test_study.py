@@ -538,6 +538,14 @@ def test_variants_of_one_method():
     assert (float(found["roba"].weight.gamma), float(found["wide"].weight.gamma)) == (3.0, 5.0)
 
 
+def test_feedback_every_tenth_epoch_costs_what_the_readme_says():
+    perfect = noiseless(scenario("dvl-sturn"))
+    one, ten = (run(Study(perfect, ["oba"], runs=2, every=every))["oba"] for every in (1, 10))
+    for seconds, low, high in ((60, 0.05, 0.06), (300, 0.002, 0.003)):
+        cost = [abs(m.mean.value[list(m.time_s).index(seconds), 2]) for m in (one, ten)]
+        assert low < cost[1] - cost[0] < high
+
+
 def test_a_list_of_durations():
     with pytest.raises(UserError, match="duration: must be one number"):
         scenario("dvl-sturn", duration=[60, 60])

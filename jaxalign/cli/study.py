@@ -51,7 +51,7 @@ def add(commands: Any) -> None:
         "--fidelity",
         default="increments",
         metavar="F",
-        help="noise per epoch: increments (default; the same distribution, hundreds of times cheaper); or per IMU "
+        help="noise per epoch: increments (default; the same distribution, far cheaper); or per IMU "
         "sample: samples (for prefilters and shaken bases)",
     )
     command.add_argument(

@@ -1,4 +1,4 @@
-"""Sensor noise per interval instead of per IMU sample: the same distribution to first order, two hundred times cheaper.
+"""Sensor noise per interval instead of per IMU sample: the same distribution to first order, far cheaper.
 
 White noise of the samples enters the increments of an interval linearly (to first order in the noise: 5e-8 rad after
 300 s), so its sum is one six-dimensional Gaussian per interval, whose covariance the truth fixes. With R_j the attitude

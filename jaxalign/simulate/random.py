@@ -1,7 +1,7 @@
 """Normal random numbers, cheap enough not to rule a study.
 
 `jax.random.normal` runs the rounds of its generator as a rolled loop on a CPU, which compiles fast and passes every
-round through memory. Unrolled, the rounds become one loop over registers: the same numbers, three times faster. Two
+round through memory. Unrolled, the rounds become one loop over registers: the same numbers, faster. Two
 nested loops of XLA's hold what each produces, or it would draw anew in every kernel that has a use for a number.
 """
 

@@ -33,7 +33,7 @@ class Study:
         runs: how many.
         seed: of all the runs; run i is the same whatever the methods, chunks and devices.
         every: epochs of the scenario between two read-outs.
-        fidelity: "increments" draws the noise per epoch interval (exact to first order, hundreds of times cheaper);
+        fidelity: "increments" draws the noise per epoch interval (exact to first order, far cheaper);
             "samples" per IMU sample: for prefilters and disturbances of the base, and to compare.
         tolerance_deg: of `within` and of the convergence time.
         window: (start, stop) s over which the accuracy of a run is taken: start < t <= stop. By default the last 50 s,
