@@ -13,6 +13,8 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ import jax
 
 from benchmarks.machine import peak_gb
 
+METHODS = ("oba", "roba", "moba", "rkf_oba", "centred_oba", "request", "optimal_request", "vo_tvk")
 HEAD = "| {what} | compile s | wall s | wall ms per run | CPU ms per run | memory GB |"
 
 
@@ -53,13 +56,12 @@ def measure(options: dict[str, Any]) -> dict[str, float]:
     return {"compile": compiled, "wall": wall, "cpu": cpu, "memory": peak_gb(), "runs": runs}
 
 
-def child(options: dict[str, Any], cores: set[int] | None = None) -> subprocess.Popen[str]:
-    """The same in a process of its own, on some cores."""
+def child(options: dict[str, Any]) -> subprocess.Popen[str]:
+    """The same in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "benchmarks.scaling", "--one", json.dumps(options)],
         stdout=subprocess.PIPE,
         text=True,
-        preexec_fn=(lambda: os.sched_setaffinity(0, cores)) if cores else None,
     )
 
 
@@ -88,12 +90,12 @@ def processes(runs: int) -> list[str]:
     cores = sorted(os.sched_getaffinity(0))[:2]
     if len(cores) < 2:
         return ["## Processes", "", "One core only: not measured.", ""]
-    alone = found(child({"runs": runs}, {cores[0]}))
+    alone = found(child({"runs": runs, "core": cores[0]}))
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     where = f"127.0.0.1:{port}"
-    both = [child({"runs": runs, "distributed": [where, 2, i]}, {core}) for i, core in enumerate(cores)]
+    both = [child({"runs": runs, "distributed": [where, 2, i], "core": core}) for i, core in enumerate(cores)]
     together = max((found(process) for process in both), key=lambda x: x["wall"])
     ratio = alone["wall"] / together["wall"]
     print(f"two processes: {ratio:.2f} times one")
@@ -103,6 +105,24 @@ def processes(runs: int) -> list[str]:
         f"{runs} runs, one process on one core: {alone['wall']:.2f} s. Two processes joined by `jax.distributed`,",
         f"each pinned to one core: {together['wall']:.2f} s, **{ratio:.2f} times faster**.",
         "",
+    ]
+
+
+def sections(most: int) -> list[Callable[[], list[str]]]:
+    """What is measured, in this order."""
+    sizes = [n for n in (1000, 10_000, 30_000, 100_000) if n <= most]
+    rates = [(f"{r:g}", {"runs": 5000, "changes": {"imu_rate": r, "aid_every": int(r)}}) for r in (100.0, 200.0, 1e3)]
+    aids = [(f"{200 / n:g}", {"runs": 2000, "changes": {"aid_every": n}, "every": 2000 // n}) for n in (200, 40, 20)]
+    durations = [(f"{s:g}", {"runs": 5000, "options": {"duration": s}}) for s in (100.0, 300.0, 1200.0)]
+    return [
+        partial(table, "Runs", "runs", [(str(n), {"runs": n}) for n in sizes]),
+        partial(table, "Devices", "devices of the CPU", [(str(d), {"runs": 20_000, "devices": d}) for d in (1, 2)]),
+        partial(processes, 20_000),
+        partial(table, "Read-out", "every", [(str(n), {"runs": 10_000, "every": n}) for n in (1, 5, 10, 50)]),
+        partial(table, "Methods", "method", [(m, {"runs": 10_000, "methods": [m]}) for m in METHODS]),
+        partial(table, "Duration", "s", durations),
+        partial(table, "IMU rate, aid at 1 Hz", "Hz", rates),
+        partial(table, "Aid rate, IMU at 200 Hz", "Hz", aids),
     ]
 
 
@@ -118,6 +138,8 @@ def main() -> None:
         from jaxalign.study import devices
 
         one = json.loads(options.one)
+        if "core" in one:
+            os.sched_setaffinity(0, {one["core"]})  # before the first use of JAX, which starts its threads
         if "distributed" in one:
             devices.join(*one["distributed"])
         elif "devices" in one:
@@ -128,9 +150,7 @@ def main() -> None:
         return
     from benchmarks.machine import machine
 
-    robust = ["oba", "roba", "moba", "rkf_oba", "centred_oba", "request", "optimal_request", "vo_tvk"]
-    sizes = [n for n in (1000, 10_000, 30_000, 100_000) if n <= options.most]
-    lines = [
+    head = [
         "# What a study costs",
         "",
         f"Written by `python -m benchmarks.scaling` on {machine()}.",
@@ -138,31 +158,11 @@ def main() -> None:
         "`oba` on dvl-sturn (300 s, IMU 200 Hz, aid 1 Hz), read out every 10 epochs, noise per increment, all cores,",
         "where nothing else is said.",
         "",
-        *table("Runs", "runs", [(str(n), {"runs": n}) for n in sizes]),
-        *table("Devices", "devices of the CPU", [(str(d), {"runs": 20_000, "devices": d}) for d in (1, 2)]),
-        *processes(20_000),
-        *table("Read-out", "every", [(str(n), {"runs": 10_000, "every": n}) for n in (1, 5, 10, 50)]),
-        *table("Methods", "method", [(m, {"runs": 10_000, "methods": [m]}) for m in robust]),
-        *table(
-            "Duration",
-            "s",
-            [(f"{s:g}", {"runs": 5000, "options": {"duration": s}}) for s in (100.0, 300.0, 1200.0)],
-        ),
-        *table(
-            "IMU rate, aid at 1 Hz",
-            "Hz",
-            [
-                (f"{r:g}", {"runs": 5000, "changes": {"imu_rate": r, "aid_every": int(r)}})
-                for r in (100.0, 200.0, 1000.0)
-            ],
-        ),
-        *table(
-            "Aid rate, IMU at 200 Hz",
-            "Hz",
-            [(f"{200 / n:g}", {"runs": 2000, "changes": {"aid_every": n}, "every": 2000 // n}) for n in (200, 40, 20)],
-        ),
     ]
-    options.out.write_text("\n".join(lines))
+    written = [*head]
+    for section in sections(options.most):
+        written += section()
+        options.out.write_text("\n".join(written))  # table by table: what was measured stays
     print(f"wrote {options.out}")
 
 

@@ -8,9 +8,9 @@ from jaxtyping import install_import_hook
 jax.config.update("jax_enable_x64", True)
 # The shapes in the annotations are checked in the tests, not in production: in the rooms that handle arrays (those that
 # parse what users type have messages of their own, which a type checker would forestall).
-ARRAYS = ("vector", "rotation", "earth", "spread", "solution", "metrics")
+ARRAYS = ("vector", "rotation", "earth", "linear", "spread", "solution", "metrics")
 OBSERVE = ("base", "frames", "nav", "window")
-ESTIMATE = ("base", "davenport", "linear", "profile", "qmethod", "triad")
+ESTIMATE = ("base", "davenport", "profile", "qmethod", "triad")
 install_import_hook(
     [f"jaxalign.{name}" for name in ARRAYS]
     + [f"jaxalign.observe.{name}" for name in OBSERVE]

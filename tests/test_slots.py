@@ -33,7 +33,6 @@ from jaxalign import (
     with_parameters,
 )
 from jaxalign.earth import EARTH_RATE
-from jaxalign.estimate.linear import solve_covariance
 from jaxalign.methods import build
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.simulate import simulate
@@ -162,23 +161,6 @@ def test_vo_tvk_depends_on_the_mounting():
         change[name] = abs(here - there)
     assert change["oba"] < 1e-8
     assert change["vo_tvk"] > 1.0
-
-
-def test_solve_covariance():
-    rng = np.random.default_rng(3)
-    a = rng.normal(size=(5, 5))
-    s, b = a @ a.T + 0.1 * np.eye(5), rng.normal(size=(5, 2))
-    solution, regular = solve_covariance(jnp.asarray(s), jnp.asarray(b))
-    assert regular
-    np.testing.assert_allclose(solution, np.linalg.solve(s, b), rtol=1e-10)
-    badly_scaled = s * np.outer(10.0 ** np.arange(5), 10.0 ** np.arange(5))
-    assert solve_covariance(jnp.asarray(badly_scaled), jnp.asarray(b))[1]
-    for bad in (np.outer(a[0], a[0]), np.full((5, 5), np.nan), -s, np.zeros((5, 5))):
-        solution, regular = solve_covariance(jnp.asarray(bad), jnp.asarray(b))
-        assert not regular
-        assert np.isfinite(solution).all()
-        slope = jax.grad(lambda m: solve_covariance(m, jnp.asarray(b))[0].sum())(jnp.asarray(bad))
-        assert np.isfinite(slope).all()
 
 
 def test_quaternion_filter_averages():

@@ -1,39 +1,33 @@
-"""Studies: the statistics are those of the single runs, to the last bit whatever the way to them."""
+"""Studies: the statistics are those of the single runs."""
 
 import dataclasses
 import json
-import signal
-import subprocess
-import sys
-import time
 
 import equinox as eqx
 import jax
 import numpy as np
 import pytest
 from scipy import stats
+from studies import RUNS, SHORT, small
 
-from jaxalign import UserError, align, epochs_from_arrays, with_parameters
+from jaxalign import UserError, align, epochs_from_arrays
 from jaxalign.methods import build
 from jaxalign.rotation import euler_from_quat, quat_from_dcm
 from jaxalign.simulate import intervals_of, measure, measure_epochs, noiseless, scenario, truth
-from jaxalign.study import PERCENTILES, Interrupted, Study, engine, run
+from jaxalign.study import PERCENTILES, Study, run
 from jaxalign.study.feed import run_keys
 from jaxalign.study.settings import described
 from jaxalign.study.statistics import MethodStatistics
 
-SHORT = {"duration": 60.0}
-RUNS = 100
+
+@pytest.fixture(scope="module")
+def made(study):
+    return study.scenario
 
 
 @pytest.fixture(scope="module")
-def made():
-    return scenario("dvl-sturn", outliers="fixed", **SHORT)
-
-
-@pytest.fixture(scope="module")
-def study(made):
-    return Study(made, ["oba", "roba"], runs=RUNS, seed=4, tolerance_deg=20.0, window=(30.0, 60.0))
+def study():
+    return small()
 
 
 @pytest.fixture(scope="module")
@@ -57,17 +51,6 @@ def errors(made, study):
             each.append((difference + 180.0) % 360.0 - 180.0)
         out.append(each)
     return np.array(out)
-
-
-def arrays(result):
-    return {key: value for key, value in result.arrays().items() if key != "settings"}
-
-
-def assert_identical(one, two):
-    one, two = arrays(one), arrays(two)
-    assert one.keys() == two.keys()
-    for key in one:
-        np.testing.assert_array_equal(one[key], two[key], err_msg=key)
 
 
 def test_statistics_are_those_of_the_single_runs(result, errors):
@@ -126,139 +109,6 @@ def test_one_run_can_be_had_again_as_a_log(made):
     expected = align(build("oba", "body"), epochs, every=10).euler_deg[-1]
     reference = np.rad2deg(euler_from_quat(quat_from_dcm(exact.C_nb[-1])))
     np.testing.assert_allclose(found.end[3], (expected - reference + 180) % 360 - 180, rtol=1e-6, atol=1e-9)
-
-
-def test_chunks_make_no_difference(study, result, tmp_path):
-    assert study.block == 32
-    assert_identical(run(study, chunk=1, out=tmp_path / "a"), result)
-    assert len(list((tmp_path / "a" / "chunks").iterdir())) == 4
-
-
-def test_resume_completes_to_the_identical_result(study, result, tmp_path):
-    run(study, chunk=32, out=tmp_path)
-    files = sorted((tmp_path / "chunks").iterdir())
-    files[1].unlink()  # never written
-    whole = files[2].read_bytes()
-    files[2].write_bytes(whole[: len(whole) // 2])  # cut off
-    (tmp_path / "chunks" / ".000000000-000000031.npz.77.part").write_bytes(b"half")  # killed while writing
-    said = []
-    assert_identical(run(study, chunk=64, out=tmp_path, resume=True, warn=said.append), result)
-    assert len(said) == 1
-    assert files[2].name in said[0]
-    assert "done again" in said[0]
-    assert not list((tmp_path / "chunks").glob(".*"))
-
-
-def test_a_flipped_bit_is_noticed(study, result, tmp_path):
-    run(study, out=tmp_path)
-    path = next((tmp_path / "chunks").iterdir())
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    said = []
-    assert_identical(run(study, out=tmp_path, resume=True, warn=said.append), result)
-    assert len(said) == 1
-
-
-def test_nothing_is_left_to_do(study, result, tmp_path):
-    run(study, out=tmp_path)
-    start = time.perf_counter()
-    assert_identical(run(study, out=tmp_path, resume=True), result)
-    assert time.perf_counter() - start < 60
-
-
-def test_a_folder_in_use_is_refused(study, tmp_path):
-    run(study, out=tmp_path)
-    with pytest.raises(UserError, match="holds a study already"):
-        run(study, out=tmp_path)
-    changed = Study(study.scenario, study.methods, RUNS, 5, tolerance_deg=20.0, window=(30.0, 60.0))
-    with pytest.raises(UserError, match=r"other settings \(seed was 4, is 5\)"):
-        run(changed, out=tmp_path, resume=True)
-    tuned = {"oba": study.methods["oba"], "roba": with_parameters(study.methods["roba"], {"weight.gamma": 3.0})}
-    changed = Study(study.scenario, tuned, RUNS, 4, tolerance_deg=20.0, window=(30.0, 60.0))
-    with pytest.raises(UserError, match=r"methods.roba.weight.gamma was 2.5, is 3.0"):
-        run(changed, out=tmp_path, resume=True)
-
-
-@pytest.mark.parametrize("content", ["file", "json", "chunks", "results"])
-def test_a_folder_of_something_else_is_refused(study, tmp_path, content):
-    folder = tmp_path / "there"
-    if content == "file":
-        folder.write_text("x")
-    else:
-        (folder / "chunks").mkdir(parents=True)
-        name = {"json": "study.json", "chunks": "chunks/000000000-000000031.npz", "results": "results.npz"}[content]
-        (folder / name).write_text("{")
-    with pytest.raises(UserError, match="name another"):
-        run(study, out=folder, resume=content == "json")
-
-
-def test_a_full_disk(study, result, tmp_path, monkeypatch):
-    """The third write fails: two chunks stay, and the study can be completed."""
-    writes = []
-    save = np.savez_compressed
-
-    def failing(*args, **kwargs):
-        writes.append(1)
-        if len(writes) == 3:
-            raise OSError(28, "No space left on device")
-        save(*args, **kwargs)
-
-    monkeypatch.setattr(np, "savez_compressed", failing)
-    with pytest.raises(UserError, match=r"No space left on device; 64 of 100 runs are on disk: .*--resume"):
-        run(study, chunk=32, out=tmp_path)
-    assert len(list((tmp_path / "chunks").iterdir())) == 2
-    assert_identical(run(study, chunk=32, out=tmp_path, resume=True), result)
-
-
-def test_interrupted(study, result, tmp_path, monkeypatch):
-    """Ctrl-C in the third block: the finished blocks are on disk, and their statistics come with the error."""
-    work = engine._Worker.__call__
-
-    def interrupted(worker, block):
-        if block == 2:
-            raise KeyboardInterrupt
-        return work(worker, block)
-
-    monkeypatch.setattr(engine._Worker, "__call__", interrupted)
-    with pytest.raises(Interrupted, match="interrupted after 64 of 100 runs, on disk") as found:
-        run(study, out=tmp_path)
-    assert found.value.result.runs == 64
-    np.testing.assert_array_equal(found.value.result["oba"].end, result["oba"].end[:64])
-    monkeypatch.undo()
-    assert_identical(run(study, out=tmp_path, resume=True), result)
-
-
-def test_a_folder_has_one_study_at_a_time(study, tmp_path):
-    from jaxalign.study.store import Store
-
-    first = Store(tmp_path, study.settings, resume=False)
-    with pytest.raises(UserError, match="a study is running in it"):
-        run(study, out=tmp_path, resume=True)
-    first.close()
-    run(study, out=tmp_path, resume=True)
-
-
-def test_nothing_to_resume_is_said(study, tmp_path):
-    said = []
-    run(study, out=tmp_path / "new", resume=True, warn=said.append)
-    assert "holds no study to resume" in said[0]
-
-
-def test_interrupted_while_writing(study, result, tmp_path, monkeypatch):
-    """Ctrl-C waits until the chunk is on disk."""
-    write = engine.Store.write
-
-    def slow(store, *what):
-        signal.raise_signal(signal.SIGINT)
-        write(store, *what)
-
-    monkeypatch.setattr(engine.Store, "write", slow)
-    with pytest.raises(Interrupted, match="interrupted after 32 of 100 runs, on disk"):
-        run(study, out=tmp_path, chunk=32)
-    monkeypatch.undo()
-    assert len(list((tmp_path / "chunks").iterdir())) == 1
-    assert_identical(run(study, out=tmp_path, resume=True), result)
 
 
 def test_an_aid_whose_noise_is_not_stated():
@@ -412,132 +262,6 @@ def test_convergence_of_few():
     np.testing.assert_allclose(m.share_converged.value, 0.4)
 
 
-COMMAND = [sys.executable, "-m", "jaxalign", "study", "dvl-sturn", "--set", "outliers=fixed", "--set", "duration=60"]
-SAME = ["--methods", "oba,roba", "--runs", str(RUNS), "--seed", "4", "--tolerance", "20", "--window", "30", "60"]
-
-
-def test_command_on_all_cores_is_the_same_to_the_last_bit(result, tmp_path):
-    """The command takes each core as a device of its own."""
-    done = subprocess.run([*COMMAND, *SAME, "--out", tmp_path, "--plot"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "wrote" in done.stdout
-    assert "roba" in done.stdout
-    with np.load(tmp_path / "results.npz") as file:
-        for key, value in arrays(result).items():
-            np.testing.assert_array_equal(file[key], value, err_msg=key)
-
-
-@pytest.mark.slow
-def test_two_processes_are_the_same_to_the_last_bit(result, tmp_path):
-    import socket
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    together = ["--distributed", f"127.0.0.1:{port}", "--processes", "2"]
-    both = [
-        subprocess.Popen(
-            [*COMMAND, *SAME, "--out", tmp_path, "--chunk", "32", *together, "--rank", str(rank)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in (0, 1)
-    ]
-    said = [process.communicate(timeout=300) for process in both]
-    assert [process.returncode for process in both] == [0, 0], said
-    assert "roba" in said[0][0]
-    assert "oba" not in said[1][0]  # (Gloo has a line of its own)
-    with np.load(tmp_path / "results.npz") as file:
-        for key, value in arrays(result).items():
-            np.testing.assert_array_equal(file[key], value, err_msg=key)
-
-
-@pytest.mark.slow
-def test_processes_with_different_flags_refuse(tmp_path):
-    import socket
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    together = ["--distributed", f"127.0.0.1:{port}", "--processes", "2"]
-    both = [
-        subprocess.Popen(
-            [*COMMAND, "--runs", str(100 + rank), *together, "--rank", str(rank)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in (0, 1)
-    ]
-    said = [process.communicate(timeout=120) for process in both]
-    assert [process.returncode for process in both] == [2, 2], said
-    assert all("use the same flags" in errors and "Traceback" not in errors for _, errors in said)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_killed_and_resumed(how, tmp_path):
-    """At any moment, here as soon as a chunk is there; the resumed study is the one that was never stopped."""
-    many = [*COMMAND, "--methods", "oba", "--runs", "40000", "--chunk", "2048"]
-    process = subprocess.Popen([*many, "--out", tmp_path / "a"], stderr=subprocess.PIPE, text=True)
-    while not list((tmp_path / "a" / "chunks").glob("0*.npz")):
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.send_signal(how)
-    _, said = process.communicate(timeout=60)
-    if how == signal.SIGINT:
-        assert process.returncode == 130
-        assert "go on with --resume" in said
-        assert "Traceback" not in said
-    kept = list((tmp_path / "a" / "chunks").glob("0*.npz"))
-    assert 0 < len(kept) < 20
-    subprocess.run([*many, "--out", tmp_path / "a", "--resume"], check=True, capture_output=True)
-    subprocess.run([*many, "--out", tmp_path / "b"], check=True, capture_output=True)
-    with np.load(tmp_path / "a" / "results.npz") as one, np.load(tmp_path / "b" / "results.npz") as two:
-        assert set(one) == set(two)
-        for key in one:
-            np.testing.assert_array_equal(one[key], two[key], err_msg=key)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--methods", "obba"], "did you mean"),
-        (["--methods", "oba,oba"], "named twice"),
-        (["--methods", "oba", "--set", "weight.gamma=3"], "weight.gamma"),
-        (["--methods", "oba", "--set", "rba:weight.gamma=3"], "no method 'rba' in --methods"),
-        (["--set", "outlier=fixed"], "no option 'outlier'; did you mean"),
-        (["--runs", "1"], "runs = 1"),
-        (["--fidelity", "x"], "fidelity = 'x'"),
-        (["--plot"], "--plot needs a folder"),
-        (["--resume"], "--resume needs a folder"),
-        (["--rank", "1"], "go with --distributed"),
-        (["--distributed", "127.0.0.1:9", "--processes", "2"], "the rank of this one"),
-        (["--distributed", "here", "--processes", "2", "--rank", "0"], "write it as host:port"),
-        (["--out", "/dev/null/x"], "cannot be used"),
-        (["--set", "name=x"], "no option 'name'"),
-        (["--distributed", "7777", "--processes", "2", "--rank", "0"], "write it as host:port"),
-        (["--out", "/dev/null"], "is not a folder"),
-    ],
-)
-def test_wrong_flags(arguments, message, capsys):
-    from jaxalign.cli.main import main
-
-    assert main(["study", "dvl-sturn", "--set", "duration=60", "--runs", "4", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-
-
-def test_variants_of_one_method():
-    from jaxalign.cli.study import _methods
-
-    found = _methods("roba, wide=roba,oba", "body", None, {"weight.gamma": "3", "wide:weight.gamma": "5"})
-    assert list(found) == ["roba", "wide", "oba"]
-    assert (float(found["roba"].weight.gamma), float(found["wide"].weight.gamma)) == (3.0, 5.0)
-
-
 def test_feedback_every_tenth_epoch_costs_what_the_readme_says():
     perfect = noiseless(scenario("dvl-sturn"))
     one, ten = (run(Study(perfect, ["oba"], runs=2, every=every))["oba"] for every in (1, 10))
@@ -549,23 +273,6 @@ def test_feedback_every_tenth_epoch_costs_what_the_readme_says():
 def test_a_list_of_durations():
     with pytest.raises(UserError, match="duration: must be one number"):
         scenario("dvl-sturn", duration=[60, 60])
-
-
-def test_settings_find_their_place():
-    from jaxalign.cli.study import _sorted
-
-    given = {"outliers": "fixed", "weight.gamma": "3", "b:gap": "1", "heading_margin": "2", "duration": "60"}
-    of_scenario, of_methods = _sorted(given, "dvl-sturn")
-    assert list(of_scenario) == ["outliers", "duration"]
-    assert list(of_methods) == ["weight.gamma", "b:gap", "heading_margin"]
-
-
-def test_nobody_answers(monkeypatch):
-    from jaxalign.study import devices
-
-    monkeypatch.setattr(devices, "_PATIENCE_S", 0)
-    with pytest.raises(UserError, match="nobody answers at 127"):
-        devices.join("127.0.0.1:9", 2, 1)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TypeVar
 
@@ -55,10 +56,10 @@ def search(seed: int, conditions: Sequence[int]) -> dict[tuple[int, str], tuple[
     return out
 
 
-def drives(runs: int, seed: int) -> Aligned:
+def drives(runs: int, seed: int, amplitudes: Sequence[float | None] = (None, 10.0)) -> Aligned:
     """Align for 600 s, drive for half an hour: (grade, disturbance) -> position errors by scheme and without errors."""
     out: Aligned = {}
-    for condition, amplitude in ((2, None), (2, 10.0), (4, None), (4, 10.0)):
+    for condition, amplitude in product((2, 4), amplitudes):
         grade = grade_of(condition)
         made = simulated.disturbed(condition, amplitude, noise_per="density", bias="sign", duration=ALIGNED)
         methods = {
@@ -83,14 +84,15 @@ def apart(part: Callable[[], T]) -> T:
 def study(runs: int, seed: int) -> Page:
     """Everything, and the page on it."""
     real = repeatability.find(Path(os.environ.get("JAXALIGN_SHARED", Path(__file__).parents[3] / "shared")))
-    few = runs < 10  # to see that it works: one condition of the search, the longest segments
+    few = runs < 10  # to see that it works: one condition, one amplitude, the longest segments
     lengths = repeatability.LENGTHS[-1:] if few else repeatability.LENGTHS
-    ten = apart(lambda: simulated.ten_tests(min(10, runs), seed))
-    many = apart(lambda: simulated.hundred(runs, seed))
-    swept = apart(lambda: simulated.sweep(max(2, runs // 2), seed))
+    conditions = (2,) if few else simulated.CONDITIONS
+    ten = apart(lambda: simulated.ten_tests(min(10, runs), seed, conditions))
+    many = apart(lambda: simulated.hundred(runs, seed, conditions))
+    swept = apart(lambda: simulated.sweep(max(2, runs // 2), seed, (10.0,) if few else simulated.SWEEP_MG))
     pairs = apart(lambda: simulated.two_vectors(max(2, runs // 5), seed))
-    chosen = apart(lambda: search(seed, (2,) if few else simulated.CONDITIONS))
-    driven = apart(lambda: drives(max(2, runs // 10), seed))
+    chosen = apart(lambda: search(seed, conditions))
+    driven = apart(lambda: drives(max(2, runs // 10), seed, (10.0,) if few else (None, 10.0)))
     segments = {} if real is None else apart(lambda: repeatability.repeatability(real, lengths))
     page = Page()
     page.add(

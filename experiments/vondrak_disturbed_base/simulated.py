@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,10 @@ def _fines(condition: int) -> dict[str, Any]:
     return {what: fine_of(numbers, sd, form) for what, (sd, form) in FINES.items()}
 
 
-def ten_tests(runs: int, seed: int) -> dict[int, Found]:
+def ten_tests(runs: int, seed: int, conditions: Sequence[int] = CONDITIONS) -> dict[int, Found]:
     """Fig. 9: equal positive biases, noise of Table 2 per sample; coarse by TRIAD on 60 s, fine on 300 s."""
     out = {}
-    for condition in CONDITIONS:
+    for condition in conditions:
         made = disturbed(condition, bias="fixed", duration=LONG)
         methods = {"TRIAD, 60 s": build("triad"), **_fines(condition)}
         every = {"TRIAD, 60 s": 600, **dict.fromkeys(FINES, 10)}
@@ -61,10 +62,10 @@ def ten_tests(runs: int, seed: int) -> dict[int, Found]:
     return out
 
 
-def hundred(runs: int, seed: int) -> dict[int, tuple[Found, np.ndarray]]:
+def hundred(runs: int, seed: int, conditions: Sequence[int] = CONDITIONS) -> dict[int, tuple[Found, np.ndarray]]:
     """Biases drawn, noise as densities: errors of 150 s, and what the biases alone leave (runs,), deg."""
     out = {}
-    for condition in CONDITIONS:
+    for condition in conditions:
         made = disturbed(condition, bias="gaussian", noise_per="density", duration=SHORT)
         methods = {"TRIAD": build("triad"), **_fines(condition)}
         every = {"TRIAD": made.epochs, **dict.fromkeys(FINES, 16)}
@@ -73,11 +74,13 @@ def hundred(runs: int, seed: int) -> dict[int, tuple[Found, np.ndarray]]:
     return out
 
 
-def sweep(runs: int, seed: int) -> dict[tuple[int, float], tuple[Found, np.ndarray]]:
+def sweep(
+    runs: int, seed: int, amplitudes: Sequence[float] = SWEEP_MG
+) -> dict[tuple[int, float], tuple[Found, np.ndarray]]:
     """Larger disturbances: (condition, mg) -> as :func:`hundred`."""
     out = {}
     for condition in (2, 4):
-        for amplitude in SWEEP_MG:
+        for amplitude in amplitudes:
             made = disturbed(condition, amplitude, bias="gaussian", noise_per="density", duration=SHORT)
             methods = {COARSE: build("dual_vector"), **_fines(condition)}
             found = _found(

@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.errors import UserError
 from jaxalign.estimate.base import AbstractEstimate, Readout
-from jaxalign.estimate.linear import solve_covariance
 from jaxalign.estimate.triad import triad
+from jaxalign.linear import solve_covariance
 from jaxalign.observe import Context, Pair
 from jaxalign.observe.options import check_choice
 from jaxalign.parameters import as_float64, tunable

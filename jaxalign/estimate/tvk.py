@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from jaxalign.estimate.base import AbstractEstimate, Readout
 from jaxalign.estimate.davenport import dominant_eigenvector
 from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direction_information
-from jaxalign.estimate.linear import solve_covariance
+from jaxalign.linear import solve_covariance
 from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.observe.options import check_choice
 from jaxalign.parameters import tunable

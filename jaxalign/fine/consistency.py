@@ -7,6 +7,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError
+from jaxalign.linear import solve_positive
 
 __all__ = ["chi_square_band", "nees", "nis"]
 
@@ -17,7 +18,7 @@ def _normalised_square(x: ArrayLike, covariance: ArrayLike) -> Array:
     sd = jnp.sqrt(jnp.diagonal(covariance, axis1=-2, axis2=-1))
     z = x / sd
     correlation = covariance / (sd[..., :, None] * sd[..., None, :])
-    return jnp.sum(z * jnp.linalg.solve(correlation, z[..., None])[..., 0], axis=-1)
+    return jnp.sum(z * solve_positive(correlation, z[..., None])[..., 0], axis=-1)
 
 
 def nees(error: Float[ArrayLike, "*s n"], covariance: Float[ArrayLike, "*s n n"]) -> Float[Array, "*s"]:

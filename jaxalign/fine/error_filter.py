@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.earth import Site, earth_rate, normal_gravity, radii
 from jaxalign.epochs import Epoch
 from jaxalign.fine.error_model import ACCEL, GYRO, POSITION, PSI, STATES, VELOCITY, transition
+from jaxalign.linear import solve_positive
 from jaxalign.navigate import NavState, advance, displacement
 from jaxalign.observe.options import check_choice
 from jaxalign.parameters import tunable
@@ -186,7 +186,7 @@ class ErrorFilter(eqx.Module):
             variance = jnp.concatenate([variance, jnp.full(3, self.position_sd**2)])
             h = jnp.concatenate([h, jnp.zeros((3, STATES)).at[:, POSITION].set(jnp.eye(3))])
         s = h @ covariance @ h.T + jnp.diag(variance)
-        gain = jax.scipy.linalg.solve(s, h @ covariance, assume_a="pos").T
+        gain = solve_positive(s, h @ covariance).T
         updated = epoch.valid & started
         gain, innovation = gain * updated, (innovation - h @ known) * updated
         error = known + gain @ innovation

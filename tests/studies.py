@@ -1,0 +1,28 @@
+"""One small study, the same in all the tests of studies, and when two of them are identical."""
+
+import numpy as np
+
+from jaxalign.simulate import scenario
+from jaxalign.study import Study
+
+SHORT = {"duration": 60.0}
+RUNS = 100
+
+
+def small():
+    """100 runs of two methods with outliers, 60 s."""
+    made = scenario("dvl-sturn", outliers="fixed", **SHORT)
+    return Study(made, ["oba", "roba"], runs=RUNS, seed=4, tolerance_deg=20.0, window=(30.0, 60.0))
+
+
+def arrays(result):
+    """Of a result, but its settings."""
+    return {key: value for key, value in result.arrays().items() if key != "settings"}
+
+
+def assert_identical(one, two):
+    """To the last bit."""
+    one, two = arrays(one), arrays(two)
+    assert one.keys() == two.keys()
+    for key in one:
+        np.testing.assert_array_equal(one[key], two[key], err_msg=key)
