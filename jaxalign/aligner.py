@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import equinox as eqx
@@ -234,6 +235,8 @@ def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
 
 def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
+    """Blocks of ``every`` epochs, in about sqrt(blocks) segments: reverse mode keeps a state of each segment, and of each
+    epoch in the one it is in."""
     state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
     rows = epochs.rows
 
@@ -244,24 +247,32 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
         return aligner.update(state, row), None
 
     def block(state, rows):
+        if every == 1:
+            return step(state, jax.tree.map(lambda x: x[0], rows))
         state, _ = jax.lax.scan(update, state, rows)
         return aligner.read(state)
 
-    if every == 1:
-        _, out = jax.lax.scan(step, state, rows)
-    else:
-        # Empty epochs in front make epoch 0 the end of a block like the others: one program instead of two.
-        blocks, rest = divmod(len(epochs) - 1, every)
-        nothing = Epoch.start(jnp.full(3, jnp.nan))
-        state = eqx.tree_at(lambda s: s.index, state, state.index - (every - 1))
-        whole = jax.tree.map(
-            lambda x, n: jnp.concatenate([jnp.broadcast_to(n, (every - 1,)), x[: 1 + blocks * every]]), rows, nothing
-        )
-        grouped = jax.tree.map(lambda x: x.reshape(1 + blocks, every), whole)
-        state, out = jax.lax.scan(block, state, grouped)
-        if rest:
-            _, last = block(state, jax.tree.map(lambda x: x[-rest:], rows))
-            out = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), out, last)
+    def segment(state, rows):
+        return jax.lax.scan(block, state, rows)
+
+    blocks, rest = divmod(len(epochs) - 1, every)
+    count = 1 + blocks
+    length = math.isqrt(count - 1) + 1
+    segments = -(-count // length)
+    empty = segments * length - count
+    # Empty epochs in front: epoch 0 ends a block like the others, and all segments have one length: one program for all.
+    before = empty * every + every - 1
+    nothing = Epoch.start(jnp.full(3, jnp.nan))
+    state = eqx.tree_at(lambda s: s.index, state, state.index - before)
+    whole = jax.tree.map(
+        lambda x, n: jnp.concatenate([jnp.broadcast_to(n, (before,)), x[: 1 + blocks * every]]), rows, nothing
+    )
+    grouped = jax.tree.map(lambda x: x.reshape(segments, length, every), whole)
+    state, out = jax.lax.scan(jax.checkpoint(segment), state, grouped)
+    out = jax.tree.map(lambda x: x.reshape(segments * length, *x.shape[2:])[empty:], out)
+    if rest:
+        _, last = block(state, jax.tree.map(lambda x: x[-rest:], rows))
+        out = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), out, last)
     return out
 
 

@@ -15,7 +15,7 @@ from jax.core import Tracer
 
 from jaxalign.errors import UserError, close_names
 
-__all__ = ["as_float64", "parameters", "tunable", "with_parameters"]
+__all__ = ["as_float64", "parameters", "tunable", "tunables", "with_parameters"]
 
 T = TypeVar("T")
 
@@ -58,6 +58,11 @@ def parameters(method: Any) -> dict[str, Any]:
     for path, value, _ in _fields(method):
         out[path] = np.asarray(value).tolist() if isinstance(value, jax.Array | np.ndarray) else value
     return out
+
+
+def tunables(method: Any) -> dict[str, tuple[float, float]]:
+    """Paths and bounds of the numbers that can be tuned: those declared by :func:`tunable`."""
+    return {path: field.metadata["bounds"] for path, _, field in _fields(method) if "bounds" in field.metadata}
 
 
 def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:

@@ -18,7 +18,7 @@ from jaxalign.precision import require_x64
 from jaxalign.simulate import Scenario, scenario
 from jaxalign.study.feed import FIDELITIES, Fidelity
 
-__all__ = ["Study", "described"]
+__all__ = ["Study", "described", "whole"]
 
 _LAST_S = 50.0
 
@@ -69,9 +69,9 @@ class Study:
         put = {
             "scenario": made,
             "methods": _methods(methods, made),
-            "runs": _whole("runs", runs, 2, 10**9),
-            "seed": _whole("seed", seed, 0, 2**63 - 1),
-            "every": _whole("every", every, 1, made.epochs),
+            "runs": whole("runs", runs, 2, 10**9),
+            "seed": whole("seed", seed, 0, 2**63 - 1),
+            "every": whole("every", every, 1, made.epochs),
             "fidelity": fidelity,
             "tolerance_deg": _positive("tolerance_deg", tolerance_deg),
             "window": (end - min(_LAST_S, end / 2), end) if window is None else window,
@@ -149,7 +149,8 @@ def _methods(given: Any, made: Scenario) -> dict[str, Any]:
     return dict(given)
 
 
-def _whole(name: str, value: Any, low: int, high: int) -> int:
+def whole(name: str, value: Any, low: int, high: int) -> int:
+    """The value, if it is a whole number within these bounds; else a UserError."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         raise UserError(f"{name} = {value!r}: must be a whole number from {low} to {high}")
     return int(value)
