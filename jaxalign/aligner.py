@@ -235,8 +235,10 @@ def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
 
 def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
-    """Blocks of ``every`` epochs, in about sqrt(blocks) segments: reverse mode keeps a state of each segment, and of each
-    epoch in the one it is in."""
+    """Blocks of ``every`` epochs, in about sqrt(blocks) segments.
+
+    Reverse mode keeps a state per segment, and what the epochs of one segment leave.
+    """
     state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
     rows = epochs.rows
 
@@ -260,7 +262,7 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     length = math.isqrt(count - 1) + 1
     segments = -(-count // length)
     empty = segments * length - count
-    # Empty epochs in front: epoch 0 ends a block like the others, and all segments have one length: one program for all.
+    # Empty epochs in front: epoch 0 ends a block like the others, and all segments have one length: one program.
     before = empty * every + every - 1
     nothing = Epoch.start(jnp.full(3, jnp.nan))
     state = eqx.tree_at(lambda s: s.index, state, state.index - before)
