@@ -18,6 +18,7 @@ import numpy as np
 
 from experiments.progress import progress
 from jaxalign.epochs import Epochs
+from jaxalign.prefilter.base import without_prefilter
 from jaxalign.simulate import Scenario, Truth, truth
 from jaxalign.study.errors import Rows, errors_of, rows_of
 from jaxalign.study.feed import World, feed_of, world_of
@@ -108,7 +109,7 @@ def monte_carlo(
                 if feed.name not in measured:
                     measured[feed.name] = _epochs(worlds[feed.name], some)
                 where = rows_of(made, feed, every if isinstance(every, int) else every[label])
-                errors = _errors(method, measured[feed.name], exact, where)
+                errors = _errors(without_prefilter(method), measured[feed.name], exact, where)
                 times = np.asarray(exact.t)[where.places]
                 kept = _multiples(times, spacing)
                 parts[label].append([np.asarray(x)[:, kept] for x in errors])

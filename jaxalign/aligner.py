@@ -22,7 +22,7 @@ from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
 from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter
-from jaxalign.prefilter.base import optional_prefilter
+from jaxalign.prefilter.base import optional_prefilter, without_prefilter
 from jaxalign.reconstruct import AbstractReconstruct, Measured
 from jaxalign.solution import Solution, Status
 from jaxalign.spread import Spread
@@ -212,7 +212,7 @@ class Aligner(eqx.Module):
 
     def solve(self, epochs: Epochs, every: int = 1) -> Solution:
         """Align epochs: one compiled scan; also inside jit, vmap and grad."""
-        return _jitted(self, epochs, every)
+        return _jitted(without_prefilter(self), epochs, every)
 
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`align`."""
@@ -304,9 +304,8 @@ def estimate_aid_sd(epochs: Epochs) -> float:
 
 def _measured(method: Any, log: Log, epochs: Epochs) -> Epochs:
     """The epochs of a log as measured: behind a prefilter the noise is not white, and cannot be estimated."""
-    if getattr(method, "prefilter", None) is None:
-        return epochs
-    return dataclasses.replace(method, prefilter=None).epochs(log)
+    raw = without_prefilter(method)
+    return epochs if raw is method else raw.epochs(log)
 
 
 def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) -> Solution:

@@ -16,6 +16,7 @@ from jaxalign.epochs import Epochs, epochs_from_log
 from jaxalign.inertial import InertialRecord
 from jaxalign.log import Log
 from jaxalign.prefilter import AbstractPrefilter
+from jaxalign.prefilter.base import without_prefilter
 from jaxalign.solution import FilterRecord, Solution, Status
 from jaxalign.vector import Quat, Vec3, where
 
@@ -66,7 +67,7 @@ class AbstractRecordMethod(eqx.Module):
 
     def solve(self, epochs: Epochs, every: int = 1) -> Solution:
         """Align epochs; rows as :func:`jaxalign.align` has them."""
-        return _jitted(self, epochs, every)
+        return _jitted(without_prefilter(self), epochs, every)
 
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`jaxalign.align`."""

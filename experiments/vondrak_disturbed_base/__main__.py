@@ -84,16 +84,22 @@ def apart(part: Callable[[], T]) -> T:
 def study(runs: int, seed: int) -> Page:
     """Everything, and the page on it."""
     real = repeatability.find(Path(os.environ.get("JAXALIGN_SHARED", Path(__file__).parents[3] / "shared")))
-    few = runs < 10  # to see that it works: one condition, one amplitude, the longest segments
+    few = runs < 10  # to see that it works: a condition, an amplitude, the longest segments behind two schemes
     lengths = repeatability.LENGTHS[-1:] if few else repeatability.LENGTHS
+    schemes = tuple(SCHEMES)[:2] if few else tuple(SCHEMES)
     conditions = (2,) if few else simulated.CONDITIONS
-    ten = apart(lambda: simulated.ten_tests(min(10, runs), seed, conditions))
-    many = apart(lambda: simulated.hundred(runs, seed, conditions))
-    swept = apart(lambda: simulated.sweep(max(2, runs // 2), seed, (10.0,) if few else simulated.SWEEP_MG))
-    pairs = apart(lambda: simulated.two_vectors(max(2, runs // 5), seed))
+
+    def some(share: int) -> int:  # a share of the runs; of a few all: then the programs are the same
+        return runs if few else max(2, runs // share)
+
+    part = (lambda f: f()) if few else apart  # then all parts share what they can
+    ten = part(lambda: simulated.ten_tests(min(10, runs), seed, conditions, simulated.SHORT if few else simulated.LONG))
+    many = part(lambda: simulated.hundred(runs, seed, conditions))
+    swept = apart(lambda: simulated.sweep(some(2), seed, (10.0,) if few else simulated.SWEEP_MG))
+    pairs = apart(lambda: simulated.two_vectors(some(5), seed, simulated.LENGTHS[:1] if few else simulated.LENGTHS))
     chosen = apart(lambda: search(seed, conditions))
-    driven = apart(lambda: drives(max(2, runs // 10), seed, (10.0,) if few else (None, 10.0)))
-    segments = {} if real is None else apart(lambda: repeatability.repeatability(real, lengths))
+    driven = apart(lambda: drives(some(10), seed, (10.0,) if few else (None, 10.0)))
+    segments = {} if real is None else apart(lambda: repeatability.repeatability(real, lengths, schemes))
     page = Page()
     page.add(
         "# Vondrak's filter on a disturbed base",
@@ -109,12 +115,12 @@ def study(runs: int, seed: int) -> Page:
     page.add(
         f"## {runs} runs with drawn biases, {simulated.SHORT:g} s",
         tables.condition_table("drawn biases", {f"condition {c}": pair for c, pair in many.items()}),
-        f"## Larger disturbances, {max(2, runs // 2)} runs",
+        f"## Larger disturbances, {some(2)} runs",
         tables.condition_table("sweep", {f"condition {c}, {a:g} mg": pair for (c, a), pair in swept.items()}),
     )
     page.picture("convergence", "Heading errors over time", pictures.convergence(swept))
     page.add(
-        f"## Two vectors in inertial space, no biases, 10 mg, {max(2, runs // 5)} runs",
+        f"## Two vectors in inertial space, no biases, 10 mg, {some(5)} runs",
         tables.two_vector_table(pairs),
         "## The smoothing factor",
         "Values of J in m^2/s^4 (smaller is better), of (27) as they are (larger is better). By formula: theta = "
@@ -125,7 +131,7 @@ def study(runs: int, seed: int) -> Page:
     page.picture("spectra", "Spectra of the force", pictures.spectra(seed, real))
     labels = (*SCHEMES, "perfect attitude")
     page.add(
-        f"## Half an hour of driving after {ALIGNED:g} s of alignment (Table 5), {max(2, runs // 10)} runs",
+        f"## Half an hour of driving after {ALIGNED:g} s of alignment (Table 5), {some(10)} runs",
         "Medians over the runs of horizontal position errors; published form at 1 mm/s; only the attitude is handed "
         "on; the paper's scale factors (Tables 3 and 4), the biases of the alignment, a way of "
         "ours. The paper prints one set of numbers, in nm in the table and in m in the text.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,25 +64,27 @@ def _reference(log: Log, times: list[float]) -> np.ndarray:
     return np.asarray((rows.q_n0n.conjugate() * q_n0b0 * rows.q_b0b).array)
 
 
-def repeatability(path: Path, lengths: tuple[float, ...] = LENGTHS) -> dict[tuple[float, str, str], np.ndarray]:
+def repeatability(
+    path: Path, lengths: tuple[float, ...] = LENGTHS, schemes: Sequence[str] = tuple(SCHEMES)
+) -> dict[tuple[float, str, str], np.ndarray]:
     """(length s, scheme, method) -> (segments,) differences of heading from the reference, deg."""
     # The file calls its zero velocity a navigation aid; epochs of our own need a log without one.
     whole = dataclasses.replace(read(path), aid="static", velocity=None, C_nb=None, aid_every=SAMPLES)
     out: dict[tuple[float, str, str], np.ndarray] = {}
-    count = sum(int(whole.duration // length) for length in lengths) * len(SCHEMES) * len(METHODS)
+    count = sum(int(whole.duration // length) for length in lengths) * len(schemes) * len(METHODS)
     noise = estimate_aid_sd(build("velocity_q").epochs(whole))
     with progress("laser-gyro log", count) as bar:
         for length in lengths:
             starts = np.arange(int(whole.duration // length)) * length
             expected = _reference(whole, list(starts + length))
-            for scheme, prefilter in SCHEMES.items():
-                jax.clear_caches()  # every method behind this filter is another program; Linux limits their memory maps
+            for scheme in schemes:
+                jax.clear_caches()  # Linux limits the memory maps of programs
                 for label, make in METHODS.items():
                     method, samples = make()
                     found = []
                     for start, q in zip(starts, expected, strict=True):
                         segment = whole.crop(start, start + length).with_epochs(samples)
-                        chosen = behind(prefilter, method)
+                        chosen = behind(SCHEMES[scheme], method)
                         solution = align(chosen, segment, every=segment.epochs, aid_sd=noise)
                         found.append(np.rad2deg(attitude_error(solution.q_nb[-1], q))[2])
                         bar.update(1)

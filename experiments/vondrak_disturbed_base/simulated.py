@@ -51,13 +51,13 @@ def _fines(condition: int) -> dict[str, Any]:
     return {what: fine_of(numbers, sd, form) for what, (sd, form) in FINES.items()}
 
 
-def ten_tests(runs: int, seed: int, conditions: Sequence[int] = CONDITIONS) -> dict[int, Found]:
+def ten_tests(runs: int, seed: int, conditions: Sequence[int] = CONDITIONS, duration: float = LONG) -> dict[int, Found]:
     """Fig. 9: equal positive biases, noise of Table 2 per sample; coarse by TRIAD on 60 s, fine on 300 s."""
     out = {}
     for condition in conditions:
-        made = disturbed(condition, bias="fixed", duration=LONG)
+        made = disturbed(condition, bias="fixed", duration=duration)
         methods = {"TRIAD, 60 s": build("triad"), **_fines(condition)}
-        every = {"TRIAD, 60 s": 600, **dict.fromkeys(FINES, 10)}
+        every = {"TRIAD, 60 s": 600, **dict.fromkeys(FINES, 10 if duration == LONG else 16)}
         out[condition] = _found(made, methods, every, runs, seed, f"condition {condition}, {runs} tests")
     return out
 
@@ -90,14 +90,14 @@ def sweep(
     return out
 
 
-def two_vectors(runs: int, seed: int) -> dict[float, Found]:
+def two_vectors(runs: int, seed: int, lengths: Sequence[float] = LENGTHS) -> dict[float, Found]:
     """Gravity in inertial space at two times, no biases, 10 mg: (length s) -> errors."""
     methods = {
         "boxcar T/3": build("dual_vector", parameters={"vectors": "boxcar"}),
         "Hann T/3": build("dual_vector"),
     }
     out = {}
-    for length in LENGTHS:
+    for length in lengths:
         made = disturbed(4, 10.0, duration=length)
         accel = accel_errors(0.0, noise_ug=20.0)
         gyro = dataclasses.replace(made.gyro, bias=0.0 * made.gyro.bias)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from experiments.vondrak_disturbed_base.paper import GA
+from experiments.genetic import SETTINGS, evolve
 from jaxalign.prefilter import Vondrak, changes_db, misfit, multitaper, printed, reconstructed, vondrak
 from jaxalign.simulate import scenario, simulate
 
@@ -19,7 +18,7 @@ __all__ = ["CUTOFFS", "OBJECTIVES", "Choice", "by_genetic_algorithm", "by_gradie
 
 CUTOFFS = (0.01, 100.0)
 SPLIT = 0.5
-BITS, GENERATIONS, STEPS = 20, 25, 60
+STEPS = 60
 OBJECTIVES = ("printed (27)", "reconstructed (27)", "J")
 Objective = Callable[[Any], Any]
 
@@ -67,44 +66,15 @@ def objectives(condition: int, seed: int) -> dict[str, Objective]:
     return {name: jax.jit(f) for name, f in made.items()}
 
 
-def by_genetic_algorithm(objective: Objective, seed: int, threshold: float | None = GA["threshold"]) -> Choice:
-    """Table 1's settings, 20 bits of ln(cut-off); stops at the threshold (None: after all the generations)."""
-    import pygad
+def by_genetic_algorithm(objective: Objective, seed: int, threshold: float | None = SETTINGS["threshold"]) -> Choice:
+    """Table 1's settings, over ln(cut-off); stops at the threshold (None: after all the generations)."""
+    low, high = np.log(CUTOFFS)
 
-    evaluations = 0
+    def decode(x: np.ndarray) -> float:
+        return float(low + x[0] * (high - low))
 
-    def decode(bits: np.ndarray) -> float:
-        share = float(np.dot(bits, 2.0 ** np.arange(BITS)[::-1])) / (2**BITS - 1)
-        low, high = np.log(CUTOFFS)
-        return float(low + share * (high - low))
-
-    def fitness(_: Any, bits: np.ndarray, __: int) -> float:
-        nonlocal evaluations
-        evaluations += 1
-        return float(objective(decode(bits)))
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        search = pygad.GA(
-            num_generations=GENERATIONS,
-            sol_per_pop=int(GA["population"]),
-            num_parents_mating=int(GA["population"]) // 2,
-            num_genes=BITS,
-            gene_type=int,
-            gene_space=[0, 1],
-            fitness_func=fitness,
-            parent_selection_type="rws" if threshold is not None else "tournament",
-            crossover_type="single_point",
-            crossover_probability=GA["crossover"],
-            mutation_type="random",
-            mutation_probability=GA["mutation"],
-            stop_criteria=None if threshold is None else f"reach_{threshold}",
-            random_seed=seed,
-            suppress_warnings=True,
-        )
-        search.run()
-    bits, value, _ = search.best_solution(search.last_generation_fitness)
-    return Choice(float(np.exp(decode(bits))), float(value), evaluations)
+    found = evolve(lambda x: float(objective(decode(x))), 1, seed, threshold)
+    return Choice(float(np.exp(decode(found.x))), found.value, found.evaluations)
 
 
 def by_gradient(objective: Objective, start: float) -> Choice:

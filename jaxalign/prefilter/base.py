@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
-__all__ = ["AbstractPrefilter", "Frame", "optional_prefilter"]
+__all__ = ["AbstractPrefilter", "Frame", "optional_prefilter", "without_prefilter"]
 
 Frame = Literal["inertial", "body"]
+T = TypeVar("T")
 
 
 class AbstractPrefilter(eqx.Module):
@@ -39,3 +41,10 @@ class AbstractPrefilter(eqx.Module):
 def optional_prefilter() -> Any:
     """A field of a method that holds a filter or None."""
     return eqx.field(default=None, kw_only=True, metadata={"slot": True})
+
+
+def without_prefilter(method: T) -> T:
+    """A method for epochs that its prefilter has been through: methods that differ in it alone share a program."""
+    if getattr(method, "prefilter", None) is None:
+        return method
+    return dataclasses.replace(method, prefilter=None)  # pyright: ignore[reportArgumentType, reportCallIssue]

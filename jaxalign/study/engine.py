@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
+from jaxalign.prefilter.base import without_prefilter
 from jaxalign.simulate import Scenario, Truth, truth
 from jaxalign.study import devices
 from jaxalign.study.errors import Rows, common_rows, errors_of
@@ -92,7 +93,7 @@ def _jobs(study: Study) -> Iterator[_Job]:
             worlds[feed.name] = world_of(made, feed, seed, study.fidelity, exact)
         time = times[where.places]
         judge = time, (time > start + 1e-6) & (time <= stop + 1e-6), np.float64(study.tolerance_deg)
-        yield _Job(label, method, worlds[feed.name], feed.name, where, judge)
+        yield _Job(label, without_prefilter(method), worlds[feed.name], feed.name, where, judge)
 
 
 class _Worker:
