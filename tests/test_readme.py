@@ -21,7 +21,7 @@ def test_python(tmp_path, monkeypatch, capsys):
     matplotlib.use("Agg")
     space: dict = {}
     code = blocks("python")
-    assert len(code) == 6
+    assert len(code) == 7
     for block in code:
         exec(compile(block, "README.md", "exec"), space)
     assert space["milder"].weight.cutoff == 8.0
@@ -31,14 +31,14 @@ def test_python(tmp_path, monkeypatch, capsys):
     )
     assert abs(float(errors["robust"])) < 2.5 < abs(float(errors["plain"]))
     # The 20-line extension and the 15-line embedding keep their promise.
-    assert len([line for line in code[4].splitlines() if line.strip()]) <= 20
-    assert len([line for line in code[5].splitlines() if line.strip()]) <= 15
+    assert len([line for line in code[5].splitlines() if line.strip()]) <= 20
+    assert len([line for line in code[6].splitlines() if line.strip()]) <= 15
 
 
 def test_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     commands = [line[2:] for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
-    assert len(commands) == 9
+    assert len(commands) == 11
     for command in commands:
         program, *arguments = command.split()
         assert program == "jaxalign"

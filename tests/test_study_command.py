@@ -146,10 +146,10 @@ def test_variants_of_one_method():
 
 
 def test_settings_find_their_place():
-    from jaxalign.cli.study import _sorted
+    from jaxalign.cli.report import split_settings
 
     given = {"outliers": "fixed", "weight.gamma": "3", "b:gap": "1", "heading_margin": "2", "duration": "60"}
-    of_scenario, of_methods = _sorted(given, "dvl-sturn")
+    of_scenario, of_methods = split_settings(given, "dvl-sturn")
     assert list(of_scenario) == ["outliers", "duration"]
     assert list(of_methods) == ["weight.gamma", "b:gap", "heading_margin"]
 

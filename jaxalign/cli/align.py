@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxalign.errors import UserError
 
-__all__ = ["add"]
+if TYPE_CHECKING:
+    from jaxalign.log import Log
 
-_PICTURES = (".png", ".pdf", ".svg")
+__all__ = ["add"]
 
 
 def add(commands: Any) -> None:
@@ -33,6 +32,9 @@ def add(commands: Any) -> None:
         "--method",
         metavar="NAME",
         help="see `jaxalign methods` (default: gravity_q without an aid, centred_oba with one)",
+    )
+    command.add_argument(
+        "--method-file", metavar="FILE", help="a method with its numbers, as written by `jaxalign tune --output` (JSON)"
     )
     command.add_argument(
         "--prefilter",
@@ -59,24 +61,19 @@ def _run(options: argparse.Namespace) -> int:
 
     import jaxalign
     from jaxalign.aligner import align
-    from jaxalign.cli.report import assignments, read_log
+    from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
     from jaxalign.io.files import replacing
-    from jaxalign.methods import RECIPES, build
-    from jaxalign.parameters import parameters
+    from jaxalign.method_file import method_entries
 
     log = read_log(options)
-    name = options.method or ("gravity_q" if log.aid == "static" else "centred_oba")
-    # A method for a standing vehicle ignores the aid; one that takes any aid takes the log's.
-    kinds = RECIPES[name].aids if name in RECIPES else ()
-    aid = "static" if kinds == ("static",) else log.aid
-    method = build(name, aid, assignments(options.set), options.prefilter)
+    name, method = _method(options, log)
     plots = None
     if options.plot:
         from jaxalign import plots
 
         plots.require()
-    _check_outputs(options)
+    check_outputs(options, [options.file, options.columns, options.method_file])
     if method.aid == "static" and log.velocity is not None:
         speed = float(np.nanmedian(np.linalg.norm(log.velocity, axis=1)))
         if speed > 0.5:
@@ -91,10 +88,7 @@ def _run(options: argparse.Namespace) -> int:
     written = []
     if options.output:
         recipe = {
-            "method": name,
-            "aid": method.aid,
-            "prefilter": options.prefilter,
-            "parameters": parameters(method),
+            **method_entries(name, method),
             "every": options.every,
             "aid_sd": float(solution.aid_sd[-1]),
             "aid_sd_from": "data" if estimated else "user" if options.aid_sd is not None else "log",
@@ -116,23 +110,26 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or that would destroy something, before anything is computed."""
-    outputs = [path for path in (options.output, options.plot) if path]
-    for text in outputs:
-        place = Path(os.path.realpath(text))
-        if place.is_dir():
-            raise UserError(f"{text} is a folder: name a file to write")
-        if not place.parent.is_dir():
-            raise UserError(f"{text}: cannot be written: there is no folder {place.parent}")
-        for given in (options.file, options.columns):
-            if given and place == Path(os.path.realpath(given)):
-                raise UserError(f"{text} is an input: name another file to write")
-        try:
-            tempfile.TemporaryFile(dir=place.parent).close()
-        except OSError as error:
-            raise UserError(f"{text}: cannot be written: {error.strerror or error}") from None
-    if len(outputs) == 2 and os.path.realpath(outputs[0]) == os.path.realpath(outputs[1]):
-        raise UserError(f"--output and --plot are both {options.output}: name two files")
-    if options.plot and Path(options.plot).suffix.lower() not in _PICTURES:
-        raise UserError(f"--plot {options.plot}: the name must end in {', '.join(_PICTURES)}")
+def _method(options: argparse.Namespace, log: Log) -> tuple[str, Any]:
+    from jaxalign.cli.report import assignments
+    from jaxalign.method_file import read_method
+    from jaxalign.methods import RECIPES, build
+    from jaxalign.parameters import with_parameters
+
+    settings = assignments(options.set)
+    if options.method_file is None:
+        name = options.method or ("gravity_q" if log.aid == "static" else "centred_oba")
+        # A method for a standing vehicle ignores the aid; one that takes any aid takes the log's.
+        kinds = RECIPES[name].aids if name in RECIPES else ()
+        aid = "static" if kinds == ("static",) else log.aid
+        return name, build(name, aid, settings, options.prefilter)
+    if options.method is not None or options.prefilter is not None:
+        flag = "--method" if options.method is not None else "--prefilter"
+        raise UserError(f"{flag} and --method-file: give one of them, the file says all of the method")
+    name, method, _ = read_method(options.method_file)
+    if method.aid not in ("static", log.aid):
+        raise UserError(
+            f"{options.method_file} holds {name} for a {method.aid!r} aid, but {log.name} has a {log.aid!r} aid: tune "
+            "one for it, or name a method with --method"
+        )
+    return name, with_parameters(method, settings)

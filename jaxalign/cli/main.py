@@ -1,6 +1,6 @@
 """``jaxalign``: sub-commands, exit codes, one line for a user's error.
 
-Exit codes: 0 done, 2 user error (also of argparse), 130 interrupted.
+Exit codes: 0 done, 1 stopped early (tune: a loss that is no number), 2 user error (also of argparse), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxalign.errors import UserError
 
 __all__ = ["entry", "main", "parser"]
 
-_COMMANDS = ("align", "info", "methods", "simulate", "study")
+_COMMANDS = ("align", "info", "methods", "simulate", "study", "tune")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -25,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
         prog="jaxalign",
         description="Initial alignment of strapdown inertial navigation systems: the attitude of a vehicle that has "
         "just been switched on, from its gyroscopes and accelerometers and a velocity aid.",
-        epilog="Exit codes: 0 done, 2 bad input or arguments, 130 interrupted.",
+        epilog="Exit codes: 0 done, 1 stopped early (tune), 2 bad input or arguments, 130 interrupted.",
     )
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in _COMMANDS:

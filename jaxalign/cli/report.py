@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
+import tempfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxalign.errors import UserError
@@ -12,7 +15,18 @@ if TYPE_CHECKING:
     from jaxalign.log import Log
     from jaxalign.simulate import Scenario
 
-__all__ = ["add_log_arguments", "add_scenario_argument", "assignments", "chosen_scenario", "read_log", "table"]
+__all__ = [
+    "add_log_arguments",
+    "add_scenario_argument",
+    "assignments",
+    "check_outputs",
+    "chosen_scenario",
+    "read_log",
+    "split_settings",
+    "table",
+]
+
+PICTURES = (".png", ".pdf", ".svg")
 
 
 def add_log_arguments(command: argparse.ArgumentParser) -> None:
@@ -69,6 +83,48 @@ def add_scenario_argument(command: argparse.ArgumentParser, **how: Any) -> None:
         help="name (see `jaxalign simulate --list`), or a TOML file (`python -m pydoc jaxalign.simulate.file`)",
         **how,
     )
+
+
+def split_settings(given: Mapping[str, str], scenario: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Settings of the scenario, and of methods: what has a dot or a colon, or is the name of a parameter alone."""
+    from jaxalign.methods import RECIPES
+    from jaxalign.parameters import parameters
+    from jaxalign.simulate import scenario_options, scenarios
+
+    known = scenario_options(scenario) if scenario in scenarios() else {}
+    bare = {path for recipe in RECIPES.values() for path in parameters(recipe.make(recipe.aids[0])) if "." not in path}
+    mine = {k: v for k, v in given.items() if "." in k or ":" in k or (k in bare and k not in known)}
+    return {k: v for k, v in given.items() if k not in mine}, mine
+
+
+def check_outputs(options: argparse.Namespace, inputs: Sequence[str | None]) -> None:
+    """Refuse outputs that cannot be written, or that would destroy something, before anything is computed.
+
+    Args:
+        options: with `output` and `plot`.
+        inputs: files that are read.
+
+    Raises:
+        UserError: a folder, no folder to write in, an input, or no picture's name.
+    """
+    outputs = [path for path in (options.output, options.plot) if path]
+    for text in outputs:
+        place = Path(os.path.realpath(text))
+        if place.is_dir():
+            raise UserError(f"{text} is a folder: name a file to write")
+        if not place.parent.is_dir():
+            raise UserError(f"{text}: cannot be written: there is no folder {place.parent}")
+        for given in inputs:
+            if given and place == Path(os.path.realpath(given)):
+                raise UserError(f"{text} is an input: name another file to write")
+        try:
+            tempfile.TemporaryFile(dir=place.parent).close()
+        except OSError as error:
+            raise UserError(f"{text}: cannot be written: {error.strerror or error}") from None
+    if len(outputs) == 2 and os.path.realpath(outputs[0]) == os.path.realpath(outputs[1]):
+        raise UserError(f"--output and --plot are both {options.output}: name two files")
+    if options.plot and Path(options.plot).suffix.lower() not in PICTURES:
+        raise UserError(f"--plot {options.plot}: the name must end in {', '.join(PICTURES)}")
 
 
 def chosen_scenario(text: str, options: Mapping[str, str]) -> Scenario:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxalign.errors import UserError, close_names
+
+if TYPE_CHECKING:
+    from jaxalign.method_file import Named
 
 __all__ = ["add"]
 
@@ -32,6 +35,14 @@ def add(commands: Any) -> None:
         metavar="M1,M2,...",
         help="names (see `jaxalign methods`), or LABEL=NAME for variants of one (default: oba,centred_oba; without an "
         "aid gravity_q,velocity_q)",
+    )
+    command.add_argument(
+        "--method-file",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a method with its numbers, as written by `jaxalign tune --output`, labelled by the name of the file; may "
+        "be repeated (default of --methods then: the same methods untuned)",
     )
     command.add_argument("--runs", type=int, default=1000, metavar="N", help="how many (default: %(default)s)")
     command.add_argument("--seed", type=int, default=0, metavar="S", help="of all the runs (default: %(default)s)")
@@ -94,7 +105,7 @@ def _devices(options: argparse.Namespace) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from jaxalign.cli.report import assignments, chosen_scenario, table
+    from jaxalign.cli.report import assignments, chosen_scenario, split_settings, table
     from jaxalign.study import Interrupted, Study, devices, run
 
     if options.out is None and (options.plot or options.resume):
@@ -103,10 +114,18 @@ def _run(options: argparse.Namespace) -> int:
         from jaxalign import plots
 
         plots.require()
-    of_scenario, of_methods = _sorted(assignments(options.set), options.scenario)
+    of_scenario, of_methods = split_settings(assignments(options.set), options.scenario)
     made = chosen_scenario(options.scenario, of_scenario)
-    chosen = options.methods or ("gravity_q,velocity_q" if made.aid == "static" else "oba,centred_oba")
-    methods = _methods(chosen, made.aid, options.prefilter, of_methods)
+    files = _of_files(options.method_file)
+    usual = "gravity_q,velocity_q" if made.aid == "static" else "oba,centred_oba"
+    chosen = options.methods or ",".join(dict.fromkeys(named.name for named in files.values())) or usual
+    prefilters = {named.prefilter for named in files.values()} if options.methods is None else set()
+    prefilter = options.prefilter or (prefilters.pop() if len(prefilters) == 1 else None)
+    methods = _methods(chosen, made.aid, prefilter, of_methods)
+    for label, named in files.items():
+        if label in methods:
+            raise UserError(f"--method-file: {label} is the name of a method too: rename the file")
+        methods[label] = named.method
     window = None if options.window is None else tuple(options.window)
     study = Study(
         made,
@@ -138,16 +157,17 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _sorted(given: Mapping[str, str], scenario: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Settings of the scenario, and of methods: what has a dot or a colon, or is the name of a parameter alone."""
-    from jaxalign.methods import RECIPES
-    from jaxalign.parameters import parameters
-    from jaxalign.simulate import scenario_options, scenarios
+def _of_files(paths: Sequence[str]) -> dict[str, Named]:
+    """Label -> method, of the files."""
+    from jaxalign.method_file import read_method
 
-    known = scenario_options(scenario) if scenario in scenarios() else {}
-    bare = {path for recipe in RECIPES.values() for path in parameters(recipe.make(recipe.aids[0])) if "." not in path}
-    mine = {k: v for k, v in given.items() if "." in k or ":" in k or (k in bare and k not in known)}
-    return {k: v for k, v in given.items() if k not in mine}, mine
+    out: dict[str, Named] = {}
+    for path in paths:
+        label = Path(path).stem
+        if label in out:
+            raise UserError(f"--method-file: two files are named {label}: rename one")
+        out[label] = read_method(path)
+    return out
 
 
 def _print(result: Any, table: Any) -> None:

@@ -1,0 +1,1 @@
+"""Tuning by gradient against a genetic algorithm and grids."""

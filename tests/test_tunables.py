@@ -1,0 +1,204 @@
+"""Every tunable number of every recipe has a derivative: forward = reverse = central differences at two step sizes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from problems import ROWS, epochs_of, log_of
+
+from jaxalign import Quat, parameters
+from jaxalign.methods import build
+from jaxalign.parameters import tunables, with_parameters
+from jaxalign.rotation import quat_from_dcm
+from jaxalign.tune import space_of
+
+# What each recipe is set to, so that all its numbers have an effect and none is zero; then what may be tuned.
+# A number that has no effect in the form named is in brackets.
+FINE = "velocity_sd initial_velocity_sd initial_tilt_sd_deg initial_heading_sd_deg accel_bias_ug gyro_bias_deg_h "
+FINE += "accel_noise_ug_sqrt_hz gyro_walk_deg_sqrt_h accel_bias_walk_ug_sqrt_h gyro_bias_walk_deg_h_sqrt_h"
+WALKS = {"filter.accel_bias_walk_ug_sqrt_h": 5.0, "filter.gyro_bias_walk_deg_h_sqrt_h": 0.05}
+POSITION = "position_sd initial_position_sd"
+CONSTANT = {"estimate.noise": "constant"}
+TABLE = [
+    # recipe, settings, prefilter, tunables with an effect, tunables without
+    ("triad", {}, None, "", ""),
+    ("dual_vector", {}, None, "", ""),
+    ("gravity_q", {}, None, "", ""),
+    ("velocity_q", {}, None, "", ""),
+    ("oba", {}, None, "", ""),
+    ("centred_oba", {}, None, "", ""),
+    ("roba", {"weight.gamma": 1.0}, None, "weight.gamma", ""),
+    ("roba", {"weight.residual": "norm", "weight.gamma": 1.0}, None, "weight.gamma", ""),
+    (
+        "moba",
+        {"weight.delta": 1.0, "weight.threshold": 0.8},
+        None,
+        "weight.gamma weight.delta",
+        "weight.threshold weight.sharpness",
+    ),
+    (
+        "moba",
+        {"weight.delta": 1.0, "weight.threshold": 0.8, "weight.gate": "smooth"},
+        None,
+        "weight.gamma weight.delta weight.threshold weight.sharpness",
+        "",
+    ),
+    (
+        "moba",
+        {"weight.delta": 1.0, "weight.threshold": 0.8, "weight.gate": "smooth", "weight.statistics": "inliers"},
+        None,
+        "weight.gamma weight.delta weight.threshold weight.sharpness",
+        "",
+    ),
+    ("rkf_oba", {}, None, "reconstruct.gamma reconstruct.process reconstruct.prior", ""),
+    ("request", {}, None, "estimate.rho", ""),
+    ("optimal_request", {"estimate.process": 1e-9}, None, "estimate.process", "estimate.variance"),
+    ("optimal_request", {**CONSTANT, "estimate.process": 1e-3}, None, "estimate.process estimate.variance", ""),
+    ("vo_tvk", {}, None, "estimate.kappa estimate.prior", "estimate.variance"),
+    ("vo_tvk", CONSTANT, None, "estimate.kappa estimate.prior estimate.variance", ""),
+    ("quaternion_kf", {}, None, "estimate.variance estimate.prior", ""),
+    ("quaternion_kf", {"estimate.noise": "fixed"}, None, "estimate.variance estimate.prior", ""),
+    (
+        "rls_quaternion_kf",
+        {"reconstruct.forgetting": 0.95},
+        None,
+        "reconstruct.forgetting reconstruct.prior estimate.variance estimate.prior",
+        "",
+    ),
+    ("rls_q", {"reconstruct.forgetting": 0.95}, None, "reconstruct.forgetting reconstruct.prior", ""),
+    (
+        "fine",
+        WALKS,
+        None,
+        " ".join(f"filter.{x}" for x in FINE.split()) + " heading_margin",
+        " ".join(f"filter.{x}" for x in POSITION.split()),
+    ),
+    (
+        "fine",
+        {**WALKS, "filter.form": "published"},
+        None,
+        " ".join(f"filter.{x}" for x in FINE.split()) + " heading_margin",
+        " ".join(f"filter.{x}" for x in POSITION.split()),
+    ),
+    (
+        "fine",
+        {**WALKS, "filter.updates": "position"},
+        None,
+        " ".join(f"filter.{x}" for x in (FINE + " " + POSITION).split()) + " heading_margin",
+        "",
+    ),
+]
+CORNERS = ("roba", "moba", "rkf_oba")
+QUICK = ("roba", "request", "optimal_request")  # the others compile for 15 s each
+
+
+def expanded():
+    for name, settings, prefilter, active, idle in TABLE:
+        for row, aid in ROWS:
+            if row == name and (active or idle):
+                label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
+                quick = name in QUICK and aid == "body"
+                marks = () if quick else pytest.mark.slow
+                yield pytest.param(name, aid, settings, prefilter, active.split(), idle.split(), id=label, marks=marks)
+
+
+def test_the_table_is_whole():
+    """Every tunable of every recipe has a row in which it has an effect."""
+    for name in {row for row, _ in ROWS}:
+        known = set(tunables(build(name)))
+        listed = {path for row in TABLE if row[0] == name for path in row[3].split()}
+        assert listed == known, name
+
+
+@pytest.mark.parametrize(("name", "aid", "settings", "prefilter", "active", "idle"), list(expanded()))
+def test_derivatives(name, aid, settings, prefilter, active, idle):
+    """60 epochs over 300 s; by relative changes of the numbers."""
+    method = build(name, aid, settings, prefilter)
+    assert set(tunables(method)) == {*active, *idle}
+    paths = [*active, *idle]
+    epochs = epochs_of(aid)
+    truth = Quat.of(quat_from_dcm(log_of(aid).C_nb[0])).conjugate()
+    at = jnp.array([float(parameters(method)[path]) for path in paths])
+    weights = jnp.array([0.3, -0.5, 1.0])
+
+    def loss(relative):
+        changed = with_parameters(method, dict(zip(paths, at * jnp.exp(relative), strict=True)))
+        q = Quat.of(changed.solve(epochs, 1).q_nb[-1]) * truth
+        return jnp.dot(weights, q.log().array)
+
+    zero = jnp.zeros(len(paths))
+    both = jax.jit(jax.value_and_grad(loss))
+    value, reverse = both(zero)
+    forward = jax.jit(jax.jacfwd(loss))(zero)
+    assert np.isfinite(reverse).all()
+    scale = np.maximum(np.abs(forward), abs(value))
+    assert np.all(np.abs(reverse - forward) <= 1e-8 * scale), (reverse, forward)
+    # Larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem.
+    for h in (1e-4, 3e-5) if name in CORNERS else (1e-3, 3e-4):
+        ends = [[both(zero.at[i].set(x))[0] for x in (h, -h)] for i in range(len(paths))]
+        numeric = np.array([(a - b) / (2 * h) for a, b in ends])
+        assert np.all(np.abs(numeric - forward) <= 1e-4 * scale), dict(
+            zip(paths, zip(numeric, forward, strict=True), strict=True)
+        )
+    print(
+        f"\n{'path':40s}{'d loss / d ln':>16s}", *(f"\n{p:40s}{s:16.6e}" for p, s in zip(paths, forward, strict=True))
+    )
+    for path, slope in zip(paths, forward, strict=True):
+        assert (slope != 0) == (path in active), path
+
+
+@pytest.mark.parametrize("where", ["low", "high"])
+@pytest.mark.parametrize(
+    ("name", "aid", "settings"),
+    [
+        ("roba", "body", {}),
+        *[
+            pytest.param(name, aid, settings, marks=pytest.mark.slow)
+            for name, aid, settings in (
+                ("moba", "body", {}),
+                ("moba", "body", {"weight.gate": "smooth"}),
+                ("rkf_oba", "body", {}),
+                ("request", "nav", {}),
+                ("optimal_request", "nav", CONSTANT),
+                ("vo_tvk", "nav", CONSTANT),
+                ("vo_tvk", "nav", {}),
+                ("quaternion_kf", "static", {"estimate.noise": "fixed"}),
+                ("quaternion_kf", "static", {}),
+                ("rls_quaternion_kf", "static", {}),
+                ("fine", "static", {}),
+            )
+        ],
+    ],
+)
+def test_finite_at_the_bounds(name, aid, settings, where):
+    """Values and derivatives with each number at a bound, the others as they are, and with all of them there."""
+    method, epochs = build(name, aid, settings), epochs_of(aid)
+    bounds = tunables(method)
+    paths = list(bounds)
+    ends = np.array([bounds[path][0 if where == "low" else 1] for path in paths])
+    usual = np.array([float(parameters(method)[path]) for path in paths])
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(x):
+        changed = with_parameters(method, dict(zip(paths, x, strict=True)))
+        return jnp.sum(Quat.of(changed.solve(epochs, 1).q_nb).log().array ** 2)
+
+    for some in [*np.eye(len(paths), dtype=bool), np.ones(len(paths), bool)]:
+        value, slope = loss(jnp.asarray(np.where(some, ends, usual)))
+        assert np.isfinite(value)
+        assert np.isfinite(slope).all(), (np.array(paths)[some], dict(zip(paths, slope, strict=True)))
+
+
+def test_free_numbers_stay_within_their_bounds():
+    space = space_of(build("fine"), ["filter.velocity_sd", "filter.accel_bias_ug", "heading_margin"])
+    for size in (-50.0, -1.0, 0.0, 1.0, 50.0):
+        values = space.values({path: jnp.asarray(size) for path in space.paths})
+        for path, x in values.items():
+            low, high = tunables(build("fine"))[path]
+            assert low <= x <= high
+            assert np.isclose(space.maps[path].free(x), size, rtol=1e-3) or abs(size) == 50
+    start = space.values(space.origin)
+    np.testing.assert_allclose(start["filter.velocity_sd"], 0.01, rtol=1e-12)
+    slope = jax.jacfwd(lambda u: jnp.log(space.maps["filter.velocity_sd"](u)))(0.0)
+    np.testing.assert_allclose(slope, 1.0, rtol=1e-12)

@@ -1,0 +1,414 @@
+"""Tuning: the gradient is that of the study's own errors, the search ends where a grid does, errors are said."""
+
+import json
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from jaxalign import UserError, with_parameters
+from jaxalign.method_file import read_method
+from jaxalign.methods import build
+from jaxalign.parameters import parameters
+from jaxalign.simulate import scenario
+from jaxalign.study import Study
+from jaxalign.study import run as run_study
+from jaxalign.tune import LOSSES, Convergence, LogRmse, Misfit, Quantile, Rmse, RunErrors, Tune, engine, run
+from jaxalign.tune.objective import loss_and_slope
+from jaxalign.weight import AbstractWeight
+
+pytestmark = pytest.mark.xdist_group("tune")  # one worker compiles for all
+RUNS = 32
+
+
+def of(made, method="roba", paths="weight.gamma", **more):
+    """Always the same shapes: one compilation."""
+    return Tune(made, method, paths, **{"runs": RUNS, "held_out": RUNS, **more})
+
+
+@pytest.fixture(scope="module")
+def made():
+    return scenario("dvl-sturn", outliers="fixed")
+
+
+@pytest.fixture(scope="module")
+def tune(made):
+    return of(made, steps=30, rate=0.3, seed=3)
+
+
+@pytest.fixture(scope="module")
+def tuned(tune):
+    return run(tune)
+
+
+@pytest.fixture(scope="module")
+def errors():
+    rng = np.random.default_rng(0)
+    euler = rng.normal(0, 1, (40, 6, 3)) * np.exp(rng.normal(size=(40, 1, 1)))
+    return RunErrors(jnp.asarray(euler), jnp.asarray(euler), jnp.arange(10.0, 61.0, 10.0))
+
+
+def test_the_loss_is_the_accuracy_of_the_study(tune, tuned):
+    study = run_study(Study(tune.scenario, ["roba"], RUNS, seed=3))
+    np.testing.assert_allclose(tuned.history.loss[0], study["roba"].accuracy.value[2], rtol=1e-9)
+
+
+def test_modes_agree_with_differences(tune):
+    objective, batch, _ = engine.prepared(tune)
+    free = {"weight.gamma": jnp.asarray(0.3)}
+    (one, forward), (two, reverse) = (
+        eqx.filter_jit(loss_and_slope)(objective, free, batch, mode) for mode in ("forward", "reverse")
+    )
+    np.testing.assert_allclose(one, two, rtol=1e-10)
+    np.testing.assert_allclose(forward["weight.gamma"], reverse["weight.gamma"], rtol=1e-8)
+    value = eqx.filter_jit(lambda x: objective({"weight.gamma": x}, batch))
+    for h in (1e-4, 3e-5):
+        numeric = (value(0.3 + h) - value(0.3 - h)) / (2 * h)
+        np.testing.assert_allclose(forward["weight.gamma"], numeric, rtol=1e-3)
+
+
+def test_the_search_ends_where_a_grid_does(tune, tuned):
+    objective, _, held_out = engine.prepared(tune)
+    judge = engine._Judge(tune, objective, held_out)
+    space = tune.space
+    gammas = np.geomspace(0.2, 9.0, 25)
+    grid = [judge({"weight.gamma": jnp.asarray(space.maps["weight.gamma"].free(x))})[0] for x in gammas]
+    assert tuned.best <= min(grid) + 0.02 * (max(grid) - min(grid))
+    assert min(tuned.history.loss) < 0.99 * tuned.history.loss[0]
+    assert tuned.best == min(tuned.history.held)
+    assert float(tuned.method.weight.gamma) == tuned.values["weight.gamma"]
+    assert tuned.gain[0] < 0
+    assert tuned.evaluations == RUNS * len(tuned.history.loss)
+
+
+def test_the_same_again(tune, tuned):
+    again = run(tune)
+    assert again.history.loss == tuned.history.loss
+    assert again.values == tuned.values
+
+
+def test_batches_take_all_runs_in_turn(made):
+    seen = []
+    tune = of(made, batch=12, steps=5, patience=0)
+    taken = engine.taken
+
+    def remembered(batch, runs):
+        seen.append(runs)
+        return taken(batch, runs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "taken", remembered)
+        found = run(tune)
+    assert [len(x) for x in seen] == [12] * 5
+    assert set(np.concatenate(seen)[:RUNS]) == set(range(RUNS))
+    assert found.evaluations == 60
+
+
+@pytest.mark.slow
+def test_own_optimiser_and_own_loss(made):
+    tune = of(made, loss=lambda errors: jnp.mean(jnp.abs(errors.phi[..., 2])), steps=3)
+    found = run(tune, optax.sgd(1.0))
+    assert len(found.history.loss) == 3
+    free = found.history.values["weight.gamma"]
+    assert free[1] != free[0]
+
+
+def test_early_stop(made):
+    found = run(of(made, steps=50, check=1, patience=2), optax.sgd(0.0))  # it stays where it is
+    assert found.stopped == "nothing better over 2 looks at the runs held out"
+    assert found.values == found.start
+    assert len(found.history.loss) == 3
+
+
+def test_rmse(errors):
+    yaw, level = np.asarray(errors.euler[..., 2]), np.asarray(errors.euler[..., :2])
+    np.testing.assert_allclose(Rmse()(errors), np.sqrt((yaw**2).mean()))
+    np.testing.assert_allclose(Rmse(angle="level")(errors), np.sqrt((level**2).mean()))
+    each = np.sqrt((yaw**2).mean(axis=1))
+    np.testing.assert_allclose(LogRmse()(errors), np.log(each).mean())
+    np.testing.assert_allclose(Quantile(share=0.9)(errors), np.quantile(each, 0.9))
+
+
+def test_convergence(errors):
+    """With a hard edge: the seconds outside."""
+    outside = (abs(np.asarray(errors.euler[..., 2])) > 1.0).sum(axis=1) * 10.0
+    np.testing.assert_allclose(Convergence(softness=1e-6)(errors), outside.mean())
+    np.testing.assert_allclose(Convergence()(errors), outside.mean(), rtol=0.1)
+
+
+@pytest.mark.parametrize("loss", [Rmse(), LogRmse(), Quantile(), Convergence(), Rmse(angle="level")])
+def test_losses_have_finite_derivatives_at_zero(loss, errors):
+    nothing = jax.tree.map(jnp.zeros_like, errors)
+    slope = jax.grad(lambda x: loss(RunErrors(x, x, errors.time)))(nothing.euler)
+    assert np.isfinite(slope).all()
+
+
+def test_runs_without_an_attitude_count_as_any_angle():
+    made = scenario("dvl-sturn", gaps=((0.0, 25.0),))
+    tune = of(made, loss=Rmse(angle="pitch"), window=(0.0, 20.0))
+    objective, batch, _ = engine.prepared(tune)
+    np.testing.assert_allclose(objective(tune.space.origin, batch), 180 / np.sqrt(3))
+
+
+class _Net(AbstractWeight):
+    """Huber's rule by a network of nothing but a gain and an offset."""
+
+    net: eqx.nn.Linear
+    power: float = 1.0
+
+    def init(self):
+        return None
+
+    def step(self, state, context, pair):
+        size = pair.residual(context.attitude).norm() / context.sd
+        return state, jax.nn.sigmoid(self.net(size[None])[0])
+
+
+@pytest.mark.slow
+def test_modules_of_a_method_are_tuned_in_reverse_mode(made):
+    net = eqx.nn.Linear(1, 1, key=jax.random.key(0), dtype=jnp.float64)
+    method = eqx.tree_at(lambda m: m.weight, build("roba", "body"), _Net(net))
+    tune = of(made, method, ["weight.net"], steps=4, check=1)
+    assert tune.chosen_mode == "reverse"
+    found = run(tune)
+    assert found.values == {}
+    assert found.best < found.history.held[0]
+    with pytest.raises(UserError, match="made by a recipe"):
+        found.write("nowhere.json")
+
+
+def test_prefilter_by_its_spectrum():
+    """The analytic optimum for white noise is 0.489 Hz; from far below and far above."""
+    for start in (0.015, 50.0):
+        made = scenario("disturbed", condition=1, duration=60.0)
+        method = build("fine", prefilter="vondrak", parameters={"prefilter.cutoff": start})
+        tune = Tune(
+            made, method, "prefilter.cutoff", "misfit", runs=16, held_out=16, steps=100, rate=0.3, fidelity="samples"
+        )
+        found = run(tune)
+        np.testing.assert_allclose(found.values["prefilter.cutoff"], 0.489, rtol=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("condition", [1, 2, 3, 4])
+@pytest.mark.parametrize("start", [0.015, 50.0])
+def test_cutoff_in_all_conditions(condition, start):
+    """Within 5 % of 0.5 Hz."""
+    made = scenario("disturbed", condition=condition, duration=60.0)
+    method = build("fine", prefilter="vondrak", parameters={"prefilter.cutoff": start})
+    found = run(
+        Tune(made, method, "prefilter.cutoff", Misfit(), runs=32, held_out=8, steps=100, rate=0.3, fidelity="samples")
+    )
+    assert abs(found.values["prefilter.cutoff"] / 0.5 - 1) < 0.05
+
+
+@pytest.mark.slow
+def test_prefilter_by_the_attitude():
+    """Through the filter: the derivative against differences."""
+    made = scenario("disturbed", condition=2, amplitude_mg=100.0, duration=20.0)
+    method = build("dual_vector", prefilter="vondrak")
+    tune = Tune(made, method, "prefilter.cutoff", runs=2, held_out=2, every=100, fidelity="samples")
+    assert tune.chosen_mode == "forward"
+    objective, batch, _ = engine.prepared(tune)
+    zero = {"prefilter.cutoff": jnp.zeros(())}
+    _, slope = eqx.filter_jit(loss_and_slope)(objective, zero, batch, "forward")
+    value = eqx.filter_jit(lambda x: objective({"prefilter.cutoff": x}, batch))
+    for h in (1e-3, 3e-4):
+        np.testing.assert_allclose(slope["prefilter.cutoff"], (value(h) - value(-h)) / (2 * h), rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_loss_that_becomes_nan_stops_and_keeps_the_last_good(made, tmp_path):
+    class Breaks(Rmse):
+        def __call__(self, errors):
+            return jnp.where(Rmse()(errors) > limit, Rmse()(errors), jnp.nan)
+
+    usual = run(of(made, steps=8, patience=0))
+    losses = usual.history.loss
+    assert losses == sorted(losses, reverse=True)
+    limit = 0.5 * (losses[3] + losses[4])
+    found = run(of(made, loss=Breaks(), steps=8, check=1, patience=0))
+    assert found.stopped.startswith("the loss is not finite at step 4 (weight.gamma = ")
+    assert np.isfinite(found.values["weight.gamma"])
+    assert len(found.history.loss) == 4
+    found.write(tmp_path / "kept.json")
+    _, method, _ = read_method(tmp_path / "kept.json")
+    assert float(method.weight.gamma) == found.values["weight.gamma"]
+
+
+@pytest.mark.slow
+def test_a_loss_that_is_nan_at_once(made):
+    with pytest.raises(UserError, match="the loss is nan at the start"):
+        run(of(made, loss=lambda errors: jnp.nan * errors.phi.sum()))
+
+
+@pytest.mark.slow
+def test_no_gradient_is_said(made):
+    hard = of(made, "moba", "weight.threshold")
+    with pytest.raises(UserError, match=r"does not change with weight.threshold .* exactly zero"):
+        run(hard)
+    both = of(made, "moba", ["weight.threshold", "weight.delta"], steps=1)
+    said = []
+    run(both, warn=said.append)
+    assert len(said) == 1
+    assert "does not change with weight.threshold" in said[0]
+
+
+def test_interrupted(made):
+    def interrupted(self, step, *args):
+        if step == 10:
+            raise KeyboardInterrupt
+        return held_out(self, step, *args)
+
+    held_out = engine.History.held_out
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine.History, "held_out", interrupted)
+        found = run(of(made, steps=30, patience=0))
+    assert found.stopped == "interrupted after 11 steps"
+    assert found.best == min(found.history.held)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"paths": ["weight.gama"]}, "did you mean weight.gamma"),
+        ({"paths": ["estimate"]}, "did you mean weight.gamma"),
+        ({"paths": []}, "name a parameter to tune: weight.gamma"),
+        ({"paths": ["weight.gamma", "weight.gamma"]}, "named twice"),
+        ({"method": "oba"}, "this method has no parameters to tune"),
+        ({"method": "robba"}, "did you mean roba"),
+        ({"method": "optimal_request", "paths": ["estimate.process"]}, "starts at zero, .* give it a positive start"),
+        ({"loss": "rsme"}, "did you mean rmse"),
+        ({"loss": 3}, "loss = 3: must be one of"),
+        ({"loss": "misfit"}, "weight.gamma has no part in it"),
+        ({"runs": 1}, "runs = 1"),
+        ({"batch": 5}, "batch = 5: must be a whole number from 2 to 4"),
+        ({"held_out": 0}, "held_out = 0"),
+        ({"steps": 0}, "steps = 0"),
+        ({"rate": -1.0}, "rate = -1.0"),
+        ({"mode": "both"}, "mode = 'both'"),
+        ({"window": (50.0, 20.0)}, "no read-out is in it"),
+        ({"fidelity": "x"}, "fidelity = 'x'"),
+        ({"scenario": "dvl-stern"}, "did you mean 'dvl-sturn'"),
+    ],
+)
+def test_bad_input(change, message, made):
+    with pytest.raises(UserError, match=message) as found:
+        Tune(**{"scenario": made, "method": "roba", "paths": ["weight.gamma"], "runs": 4, **change})
+    assert "\n" not in str(found.value)
+
+
+def test_values_outside_their_bounds():
+    with pytest.raises(UserError, match=r"weight.gamma = 1000.0: outside its bounds 0.1 .. 10"):
+        with_parameters(build("roba"), {"weight.gamma": 1000.0})
+
+
+@pytest.mark.parametrize(
+    ("loss", "bad"), [("rmse", {"angle": "head"}), ("quantile", {"share": 2.0}), ("convergence", {"softness": 0.0})]
+)
+def test_bad_losses(loss, bad):
+    with pytest.raises(UserError, match=next(iter(bad))):
+        LOSSES[loss](**bad)
+
+
+COMMAND = [sys.executable, "-m", "jaxalign"]
+
+
+def test_command_then_align_and_study(tmp_path):
+    def ran(*arguments):
+        done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    some = ["dvl-sturn", "--set", "outliers=fixed", "--set", "duration=60"]
+    said = ran(
+        "tune",
+        *some,
+        "--method",
+        "roba",
+        "--param",
+        "weight.gamma",
+        "--runs",
+        "16",
+        "--held-out",
+        "16",
+        "--steps",
+        "6",
+        "--output",
+        "t.json",
+        "--plot",
+        "t.png",
+    )
+    assert "weight.gamma" in said
+    assert "wrote t.json" in said
+    content = json.loads((tmp_path / "t.json").read_text())
+    name, method, _ = read_method(tmp_path / "t.json")
+    assert (name, content["aid"]) == ("roba", "body")
+    assert parameters(method)["weight.gamma"] == content["tuned"]["values"]["weight.gamma"]
+    assert content["tuned"]["settings"]["runs"] == 16
+    ran("simulate", *some, "--output", "log.npz")
+    ran("align", "log.npz", "--method-file", "t.json", "--output", "a.npz")
+    with np.load(tmp_path / "a.npz") as file:
+        assert json.loads(str(file["recipe"]))["parameters"]["weight.gamma"] == float(method.weight.gamma)
+    said = ran("study", *some, "--method-file", "t.json", "--runs", "8")
+    assert "roba" in said
+    assert "  t " in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tune", "dvl-sturn"], "name a method to tune"),
+        (["tune", "dvl-sturn", "--method", "roba"], "name a parameter to tune: weight.gamma"),
+        (["tune", "dvl-sturn", "--method", "roba", "--param", "gamma"], "did you mean weight.gamma"),
+        (
+            ["tune", "dvl-sturn", "--method", "roba", "--param", "weight.gamma", "--share", "0.5"],
+            "--share does not go with --loss rmse, but with quantile",
+        ),
+        (
+            ["tune", "dvl-sturn", "--method", "roba", "--method-file", "x.json", "--param", "weight.gamma"],
+            "or --method-file",
+        ),
+        (["tune", "dvl-sturn", "--method-file", "x.json", "--param", "weight.gamma"], "x.json: no such method file"),
+        (["tune", "dvl-sturn", "--method", "roba", "--param", "weight.gamma", "--plot", "x.doc"], "--plot x.doc"),
+        (
+            ["tune", "dvl-sturn", "--method", "roba", "--param", "weight.gamma", "--output", "/no/x"],
+            "there is no folder",
+        ),
+        (["study", "dvl-sturn", "--method-file", "x.json"], "no such method file"),
+    ],
+)
+def test_wrong_flags(arguments, message, capsys):
+    from jaxalign.cli.main import main
+
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "no JSON"),
+        ("[]", "not a method file"),
+        ('{"method": "roba"}', "it has no entry 'aid'"),
+        ('{"method": "x", "aid": "body", "prefilter": null, "parameters": {}}', "no method 'x'"),
+        (
+            '{"method": "roba", "aid": "body", "prefilter": null, "parameters": {"weight.gamma": 99}}',
+            "outside its bounds",
+        ),
+        ('{"method": "roba", "aid": "static", "prefilter": null, "parameters": {}}', "does not take a 'static' aid"),
+    ],
+)
+def test_bad_method_files(content, message, tmp_path):
+    (tmp_path / "m.json").write_text(content)
+    with pytest.raises(UserError, match=message) as found:
+        read_method(tmp_path / "m.json")
+    assert "m.json" in str(found.value)
+    assert "\n" not in str(found.value)
