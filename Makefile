@@ -49,6 +49,7 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.prefilter
 	$(BIN)/python -m benchmarks.peers
 	$(BIN)/python -m benchmarks.scaling
+	$(BIN)/python -m benchmarks.tuning
 
 tables: $(STAMP)
 	$(BIN)/python -m experiments.xu2020_rkf_dvl
