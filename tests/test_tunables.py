@@ -13,7 +13,8 @@ from jaxalign.rotation import quat_from_dcm
 from jaxalign.tune import space_of
 
 # What each recipe is set to, so that all its numbers have an effect and none is zero; then what may be tuned.
-# rkf_oba with a lower prior: at 1e10 the rounding of the covariance hides the derivative by it (1e-3 of it).
+# rkf_oba with a lower prior: at 1e10 the rounding of the covariance hides the derivative by it (1e-3 of it);
+# with a low gamma few innovations are near the corner of the weight.
 FINE = "velocity_sd initial_velocity_sd initial_tilt_sd_deg initial_heading_sd_deg accel_bias_ug gyro_bias_deg_h "
 FINE += "accel_noise_ug_sqrt_hz gyro_walk_deg_sqrt_h accel_bias_walk_ug_sqrt_h gyro_bias_walk_deg_h_sqrt_h"
 WALKS = {"filter.accel_bias_walk_ug_sqrt_h": 5.0, "filter.gyro_bias_walk_deg_h_sqrt_h": 0.05}
@@ -50,7 +51,13 @@ TABLE = [
         "weight.gamma weight.delta weight.threshold weight.sharpness",
         "",
     ),
-    ("rkf_oba", {"reconstruct.prior": 1e4}, None, "reconstruct.gamma reconstruct.process reconstruct.prior", ""),
+    (
+        "rkf_oba",
+        {"reconstruct.prior": 1e4, "reconstruct.gamma": 0.3},
+        None,
+        "reconstruct.gamma reconstruct.process reconstruct.prior",
+        "",
+    ),
     ("request", {}, None, "estimate.rho", ""),
     ("optimal_request", {"estimate.process": 1e-9}, None, "estimate.process", "estimate.variance"),
     ("optimal_request", {**CONSTANT, "estimate.process": 1e-3}, None, "estimate.process estimate.variance", ""),
@@ -88,7 +95,7 @@ TABLE = [
         "",
     ),
 ]
-STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "rkf_oba": (2e-5, 1e-5)}
+STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "rkf_oba": (1e-3, 3e-4)}
 QUICK = ("roba", "request", "optimal_request")  # the others compile for 15 s each
 
 
