@@ -176,7 +176,7 @@ def test_experiment(name, tmp_path):
     assert len(pictures) >= 2
     for picture in pictures:
         assert f"({picture.name})" in text
-        assert 3000 < picture.stat().st_size < 150_000
+        assert 3000 < picture.stat().st_size < 200_000
     with (tmp_path / "results.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) > 100

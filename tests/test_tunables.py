@@ -95,7 +95,7 @@ TABLE = [
         "",
     ),
 ]
-STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "rkf_oba": (1e-3, 3e-4)}
+STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2)}
 QUICK = ("roba", "request", "optimal_request")  # the others compile for 15 s each
 
 
@@ -130,19 +130,22 @@ def test_derivatives(name, aid, settings, prefilter, active, idle):
 
     def loss(relative):
         changed = with_parameters(method, dict(zip(paths, at * jnp.exp(relative), strict=True)))
-        q = Quat.of(changed.solve(epochs, 1).q_nb[-1]) * truth
-        return jnp.dot(weights, q.log().array)
+        found = changed.solve(epochs, 1)
+        q = Quat.of(found.q_nb[-1]) * truth
+        return jnp.dot(weights, q.log().array), found.eigengap[-1]
 
     zero = jnp.zeros(len(paths))
-    both = jax.jit(jax.value_and_grad(loss))
-    value, reverse = both(zero)
-    forward = jax.jit(jax.jacfwd(loss))(zero)
+    both = jax.jit(jax.value_and_grad(loss, has_aux=True))
+    (value, gap), reverse = both(zero)
+    forward, _ = jax.jit(jax.jacfwd(loss, has_aux=True))(zero)
     assert np.isfinite(reverse).all()
     scale = np.maximum(np.abs(forward), abs(value))
-    assert np.all(np.abs(reverse - forward) <= 1e-8 * scale), (reverse, forward)
+    # An eigenvector is known to the rounding over its gap: 4e-11 rad where the gap is 5e-6 (vo_tvk), else below 1e-8.
+    rounding = np.finfo(float).eps / gap if gap > 0 else 0.0
+    assert np.all(np.abs(reverse - forward) <= 1e-8 * scale + rounding), (reverse, forward)
     # Larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem.
     for h in STEPS.get(name, (1e-3, 3e-4)):
-        ends = [[both(zero.at[i].set(x))[0] for x in (h, -h)] for i in range(len(paths))]
+        ends = [[both(zero.at[i].set(x))[0][0] for x in (h, -h)] for i in range(len(paths))]
         numeric = np.array([(a - b) / (2 * h) for a, b in ends])
         assert np.all(np.abs(numeric - forward) <= 1e-4 * scale), dict(
             zip(paths, zip(numeric, forward, strict=True), strict=True)
