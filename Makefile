@@ -58,6 +58,8 @@ tables: $(STAMP)
 	$(BIN)/python -m experiments.huang_vo_tvk_gps
 	$(BIN)/python -m experiments.vondrak_disturbed_base
 	$(BIN)/python -m experiments.real_logs
+	$(BIN)/python -m experiments.tuning
+	$(BIN)/python -m experiments.embedding
 
 clean:
 	rm -rf out dist .pytest_cache .ruff_cache .hypothesis .benchmarks

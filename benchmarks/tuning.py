@@ -11,7 +11,6 @@ import json
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +39,6 @@ def best(f: Any, *arguments: Any, repeats: int = 5) -> float:
     return min(out)
 
 
-def _graded(objective: Any, mode: Any, free: Any, batch: Any) -> Any:
-    from jaxalign.tune.objective import loss_and_slope
-
-    return loss_and_slope(objective, free, batch, mode)
-
-
 def measure(name: str) -> list[dict[str, Any]]:
     """One method: the first number forward, all of them in both modes."""
     import jax.numpy as jnp
@@ -54,14 +47,16 @@ def measure(name: str) -> list[dict[str, Any]]:
     from jaxalign.parameters import tunables
     from jaxalign.study.feed import feed_of, run_keys, world_of
     from jaxalign.tune import Tune, prepared
-    from jaxalign.tune.objective import Mode
+    from jaxalign.tune.objective import Mode, loss_and_slope
 
     scenario, settings = METHODS[name]
     aid = "nav" if scenario == "gps-zigzag" else "body"
     method = build(name, aid, settings)
     every = list(tunables(method))
     rows = []
-    asked: list[tuple[list[str], Mode]] = [(every[:1], "forward"), (every, "forward"), (every, "reverse")]
+    asked: list[tuple[list[str], Mode]] = [(every[:1], "forward"), (every, "reverse")]
+    if len(every) > 1:
+        asked.insert(1, (every, "forward"))
     for paths, mode in asked:
         tune = Tune(scenario, method, paths, runs=RUNS, held_out=2)
         ready = prepared(tune)
@@ -69,10 +64,10 @@ def measure(name: str) -> list[dict[str, Any]]:
         world = world_of(tune.scenario, feed, jax.random.key(0), "increments")
         keys = run_keys(jax.random.key(0), jnp.arange(RUNS))
         free = tune.space.origin
-        drawing = jax.jit(world.epochs).lower(keys).compile()
-        forward = jax.jit(ready.objective).lower(free, ready.batch).compile()
+        drawing = jax.jit(lambda keys, world=world: world.epochs(keys)).lower(keys).compile()
+        forward = jax.jit(lambda free, batch, of=ready.objective: of(free, batch)).lower(free, ready.batch).compile()
         start = time.perf_counter()
-        graded = jax.jit(partial(_graded, ready.objective, mode))
+        graded = jax.jit(lambda free, batch, of=ready.objective, mode=mode: loss_and_slope(of, free, batch, mode))
         graded = graded.lower(free, ready.batch).compile()
         compiled = time.perf_counter() - start
         study = best(drawing, keys) + best(forward, free, ready.batch)

@@ -235,9 +235,9 @@ def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
 
 def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
-    """Blocks of ``every`` epochs, in about sqrt(blocks) segments.
+    """Blocks of ``every`` epochs, in segments of about sqrt(epochs) epochs.
 
-    Reverse mode keeps a state per segment, and what the epochs of one segment leave.
+    Reverse mode keeps a state per segment, and what the epochs of one segment leave: as much of either.
     """
     state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
     rows = epochs.rows
@@ -259,7 +259,7 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
     blocks, rest = divmod(len(epochs) - 1, every)
     count = 1 + blocks
-    length = math.isqrt(count - 1) + 1
+    length = max(1, round(math.sqrt(count / every)))
     segments = -(-count // length)
     empty = segments * length - count
     # Empty epochs in front: epoch 0 ends a block like the others, and all segments have one length: one program.
@@ -270,7 +270,7 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
         lambda x, n: jnp.concatenate([jnp.broadcast_to(n, (before,)), x[: 1 + blocks * every]]), rows, nothing
     )
     grouped = jax.tree.map(lambda x: x.reshape(segments, length, every), whole)
-    state, out = jax.lax.scan(jax.checkpoint(segment), state, grouped)
+    state, out = jax.lax.scan(jax.checkpoint(segment, prevent_cse=False), state, grouped)
     out = jax.tree.map(lambda x: x.reshape(segments * length, *x.shape[2:])[empty:], out)
     if rest:
         _, last = block(state, jax.tree.map(lambda x: x[-rest:], rows))

@@ -23,6 +23,8 @@ EXPERIMENTS = (
     "xu2017_quaternion_kf",
     "huang_vo_tvk_gps",
     "vondrak_disturbed_base",
+    "tuning",
+    "embedding",
 )
 ERRORS = np.random.default_rng(1).normal(0.3, 2.0, (40, 25))
 
