@@ -25,11 +25,12 @@ STEPS = 60
 INTRODUCTION = """\
 The loss is the RMSE of the heading over the last 50 s of simulated runs, the same for all searches and evaluations of a
 problem. Gradient: Adam on free numbers within the bounds, {steps} steps at most, stopped where runs held out get no
-better (those are not counted). Genetic algorithm: the settings of the Vondrak paper (population {population}, crossover
-{crossover}, mutation {mutation}; {generations} generations, 20 bits a number, over the bounds of the library, of
-logarithms). Grid: {grid} points over the same bounds. An evaluation aligns each of the runs once; one with a gradient
-counts as one here and costs more time, which the seconds show (they hold the compilation). moba has its smooth gate:
-of the published hard one the threshold has no derivative.
+better (those are not counted); of its steps the one is taken that those runs like best, which need not be the least.
+Genetic algorithm: the settings of the Vondrak paper (population {population}, crossover {crossover}, mutation
+{mutation}; {generations} generations, 20 bits a number, over the bounds of the library, of logarithms). Grid: {grid}
+points over the same bounds. An evaluation aligns each of the runs once; one with a gradient counts as one here and
+costs more time, which the seconds show (they hold the compilation). moba has its smooth gate: of the published hard one
+the threshold has no derivative.
 
 The robust filter's R is not a number of its own: its estimate depends on Q and P0 over R alone, and its Huber threshold
 is in units of R's root."""

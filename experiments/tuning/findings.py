@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def findings(
     """All of it."""
     fewer = [s for s in found if _ratio(s) >= 5]
     others = [s for s in found if _ratio(s) < 5]
-    not_so = [f"{s.problem.label}: {s.gradient.loss:.4g} against {s.genetic.loss:.4g} deg" for s in others]
+    not_so = [f"{s.problem.label}: {s.gradient.trace[-1]:.4g} against {s.genetic.loss:.4g} deg" for s in others]
 
     times = [f"{s.problem.label}: {_ratio(s):.0f} times" for s in fewer]
 
@@ -49,8 +50,8 @@ def findings(
     off = [abs(tuned.values["prefilter.cutoff"] / 0.5 - 1) for tuned in cutoffs.values()]
     steps = [len(tuned.history.loss) for tuned in cutoffs.values()]
     spread = [tuned.values["prefilter.cutoff"] for tuned in cutoffs.values()]
-    return f"""\
-- The gradient ends as low as the genetic algorithm or lower with at least five times fewer runs on {len(fewer)} of
+    text = f"""\
+- The gradient gets as low as the genetic algorithm ends, with at least five times fewer runs, on {len(fewer)} of
   {len(found)} problems ({_list(times)}). Not so: {_list(not_so)}.
 - Where tuning pays, on new runs of the scenario tuned for (RMSE over that untuned):
   {_list(gains(own, 0.0, 1 - FLAT))}.
@@ -60,3 +61,7 @@ def findings(
 - Vondrak's cut-off by the misfit J, from {min(start for _, start in cutoffs):g} and
   {max(start for _, start in cutoffs):g} Hz: {min(spread):.3f} to {max(spread):.3f} Hz, at most
   {100 * max(off):.1f} % from 0.5 Hz, in {min(steps)} to {max(steps)} steps, no run aligned."""
+    bullets = text.split("\n- ")
+    return "\n".join(
+        fill(" ".join(x.removeprefix("- ").split()), 116, initial_indent="- ", subsequent_indent="  ") for x in bullets
+    )

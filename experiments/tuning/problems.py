@@ -136,9 +136,10 @@ def cutoff_tune(condition: int, start: float, runs: int, seed: int) -> Tune:
         "prefilter.cutoff",
         "misfit",
         runs=runs,
-        held_out=2,
+        held_out=runs,
         steps=100,
         rate=0.3,
+        patience=0,  # the objective has no noise of its own
         seed=seed,
         every=100,
         fidelity="samples",
