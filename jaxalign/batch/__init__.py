@@ -1,0 +1,8 @@
+"""Robust batch estimation over a navigated path."""
+
+from __future__ import annotations
+
+from jaxalign.batch.imu import GRADES, ImuErrors, imu_errors
+from jaxalign.batch.robust_map import RobustMap
+
+__all__ = ["GRADES", "ImuErrors", "RobustMap", "imu_errors"]

@@ -1,0 +1,82 @@
+"""What is known of an inertial unit beforehand: how large its biases may be, and its white noise."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxalign.errors import UserError, close_names
+from jaxalign.parameters import tunable
+from jaxalign.simulate import Scenario
+from jaxalign.units import DEG_H, DEG_SQRT_H, UG
+
+__all__ = ["GRADES", "ImuErrors", "imu_errors"]
+
+
+class ImuErrors(eqx.Module):
+    """Figures of a data sheet, the same on the three axes.
+
+    Attributes:
+        gyro_bias_deg_h: standard deviation of the constant bias of the gyroscopes.
+        gyro_walk_deg_sqrt_h: their angle random walk.
+        accel_bias_ug: standard deviation of the constant bias of the accelerometers.
+        accel_noise_ug_sqrt_hz: density of their white noise.
+    """
+
+    gyro_bias_deg_h: Float[Array, ""] = tunable(0.05, unit="deg/h", bounds=(1e-6, 1e4))
+    gyro_walk_deg_sqrt_h: Float[Array, ""] = tunable(0.01, unit="deg/sqrt(h)", bounds=(1e-6, 10.0))
+    accel_bias_ug: Float[Array, ""] = tunable(100.0, unit="ug", bounds=(1e-3, 1e5))
+    accel_noise_ug_sqrt_hz: Float[Array, ""] = tunable(50.0, unit="ug/sqrt(Hz)", bounds=(1e-3, 1e4))
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> ImuErrors:
+        """The figures that a scenario draws from (the largest of the axes; noise per sample as a density)."""
+        dt = 1.0 / scenario.imu_rate
+        gyro, accel = scenario.gyro, scenario.accel
+        return cls(
+            jnp.max(jnp.abs(gyro.bias)) / DEG_H,
+            gyro.increment_sd(dt) / jnp.sqrt(dt) / DEG_SQRT_H,
+            jnp.max(jnp.abs(accel.bias)) / UG,
+            accel.increment_sd(dt) / jnp.sqrt(dt) / UG,
+        )
+
+    @property
+    def gyro_bias(self) -> Float[Array, ""]:
+        """rad/s."""
+        return self.gyro_bias_deg_h * DEG_H
+
+    @property
+    def gyro_walk(self) -> Float[Array, ""]:
+        """rad/sqrt(s)."""
+        return self.gyro_walk_deg_sqrt_h * DEG_SQRT_H
+
+    @property
+    def accel_bias(self) -> Float[Array, ""]:
+        """m/s^2."""
+        return self.accel_bias_ug * UG
+
+    @property
+    def accel_walk(self) -> Float[Array, ""]:
+        """m/s/sqrt(s)."""
+        return self.accel_noise_ug_sqrt_hz * UG
+
+
+GRADES = {
+    "navigation": (0.05, 0.01, 100.0, 50.0),
+    "tactical": (5.0, 0.1, 1000.0, 100.0),
+    "mems": (300.0, 0.3, 10000.0, 200.0),
+}
+"""Grades by name: bias deg/h, walk deg/sqrt(h), bias ug, noise ug/sqrt(Hz)."""
+
+
+def imu_errors(grade: str) -> ImuErrors:
+    """A grade by name.
+
+    Raises:
+        UserError: there is none of that name.
+    """
+    if grade not in GRADES:
+        near = close_names(grade, GRADES) or list(GRADES)
+        raise UserError(f"no grade {grade!r} of inertial units: did you mean {', '.join(near)}?")
+    return ImuErrors(*(jnp.asarray(x) for x in GRADES[grade]))

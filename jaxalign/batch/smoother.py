@@ -1,0 +1,162 @@
+"""Kalman filter forth and disturbance smoother back over the errors of a guessed path: one Gauss-Newton step.
+
+The states are those of :mod:`jaxalign.batch.model`, with constants behind them if the measurement has more unknowns.
+Velocities are measured axis by axis. The backward pass carries no covariance: it gives the start and the noise of each
+measurement by all of them, which is what reweighting needs.
+
+Source: Durbin and Koopman, Time Series Analysis by State Space Methods (4.6.1), (4.58)-(4.69), in scalars.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxalign.batch.imu import ImuErrors
+from jaxalign.batch.model import Path, back, forth, skew
+from jaxalign.vector import Vec3
+
+__all__ = ["Filtered", "Measured", "Prior", "filtered", "fixes", "smoothed"]
+
+
+class Prior(eqx.Module):
+    """Errors of the guess before the first measurement.
+
+    Attributes:
+        mean: (n,).
+        variance: (n,).
+    """
+
+    mean: Float[Array, " n"]
+    variance: Float[Array, " n"]
+
+
+class Measured(eqx.Module):
+    """Velocities of the aid against a path: ``gap = slope x + noise``, the noise the same on all axes.
+
+    Attributes:
+        gap: (K, 3) measured minus guessed velocity, m/s, n0.
+        slope: (K, 3, n).
+    """
+
+    gap: Float[Array, "K 3"]
+    slope: Float[Array, "K 3 n"]
+
+
+class Filtered(eqx.Module):
+    """What the filter leaves.
+
+    Attributes:
+        mean: (K, n) errors by the measurements up to each epoch.
+        covariance: (K, n, n) of them.
+        innovation: (K, 3) of each axis after those before it, over its variance.
+        gain: (K, 3, n).
+    """
+
+    mean: Float[Array, "K n"]
+    covariance: Float[Array, "K n n"]
+    innovation: Float[Array, "K 3"]
+    gain: Float[Array, "K 3 n"]
+
+
+def fixes(path: Path, velocity: Vec3, aid: str, calibrated: bool = False) -> Measured:
+    """The velocities of an aid along a path.
+
+    Args:
+        path: guessed.
+        velocity: (K,) of the aid, m/s, in b or n; any where the vehicle stands.
+        aid: "body", "nav" or "static" (the velocity is zero).
+        calibrated: four more unknowns, of a body aid: its scale factor and its misalignment (rad, b), with
+            ``v_measured = (1 + scale) (v - misalignment x v)``.
+    """
+    v = path.velocity
+    unit = jnp.broadcast_to(jnp.eye(3), (*v.x.shape, 3, 3))
+    none = jnp.zeros_like(unit)
+    tilt = none
+    if aid == "body":
+        seen = path.q_n0b.rotate(velocity)
+        tilt = jax.vmap(skew)(v)
+    elif aid == "nav":
+        seen = path.q_n0n.rotate(velocity)
+    else:
+        seen = v * 0.0
+    blocks = [tilt, unit, none, none]
+    if calibrated:
+        blocks += [v.array[..., None], tilt @ path.q_n0b.matrix.array]
+    return Measured((seen - v).array, jnp.concatenate(blocks, axis=-1))
+
+
+def _noise(row: Path, imu: ImuErrors) -> Float[Array, "6 6"]:
+    """Covariance of what the white noise of an interval does to tilt and speed."""
+    gyro, accel = imu.gyro_walk**2 * row.dt, imu.accel_walk**2 * row.dt
+    d = skew(row.impulse)
+    across = -0.5 * gyro * d
+    speed = gyro / 3.0 * sum(d[:, i, None] * d[:, i] for i in range(3)) + accel * jnp.eye(3)
+    return jnp.concatenate(
+        [jnp.concatenate([gyro * jnp.eye(3), across.T], axis=1), jnp.concatenate([across, speed], axis=1)]
+    )
+
+
+def filtered(
+    path: Path, measured: Measured, variance: Float[Array, " K"], imu: ImuErrors, prior: Prior, keep: bool = False
+) -> Filtered:
+    """Forth.
+
+    Args:
+        path: guessed.
+        measured: along it.
+        variance: of each measurement per axis, (m/s)^2; very large where there is none.
+        imu: its noise.
+        prior: of the errors at the first epoch, before its measurement.
+        keep: mean and covariance at all epochs (else only the last: leaves with a first axis of one).
+    """
+    size = prior.mean.shape[0]
+
+    def step(carry: Any, row: Any) -> Any:
+        x, p = carry
+        motion, gap, slope, r = row
+        x, p = forth(motion, x), forth(motion, forth(motion, p).T)
+        p = p + jnp.pad(_noise(motion, imu), (0, size - 6))
+        surprises, gains = [], []
+        for i in range(3):
+            h = slope[i]
+            g = jnp.sum(p * h, axis=1)
+            s = jnp.sum(g * h) + r
+            surprise, gain = (gap[i] - jnp.sum(h * x)) / s, g / s
+            x, p = x + g * surprise, p - g[:, None] * gain
+            surprises.append(surprise)
+            gains.append(gain)
+        carry = (x, p)
+        return carry, (carry if keep else None, jnp.stack(surprises), jnp.stack(gains))
+
+    start = (prior.mean, jnp.diag(prior.variance))
+    last, (kept, innovation, gain) = jax.lax.scan(step, start, (path, measured.gap, measured.slope, variance))
+    mean, covariance = kept if keep else jax.tree.map(lambda x: x[None], last)
+    return Filtered(mean, covariance, innovation, gain)
+
+
+def smoothed(
+    path: Path, measured: Measured, variance: Float[Array, " K"], prior: Prior, found: Filtered
+) -> tuple[Float[Array, " n"], Float[Array, "K 3"]]:
+    """Back.
+
+    Returns:
+        The errors at the first epoch and the noise of each measurement, m/s, n0, by all measurements.
+    """
+
+    def step(r: Any, row: Any) -> Any:
+        motion, slope, innovation, gain, variance = row
+        noise = [jnp.zeros(())] * 3
+        for i in reversed(range(3)):
+            u = innovation[i] - jnp.sum(gain[i] * r)
+            r = r + slope[i] * u
+            noise[i] = variance * u
+        return back(motion, r), jnp.stack(noise)
+
+    rows = (path, measured.slope, found.innovation, found.gain, variance)
+    r, noise = jax.lax.scan(step, jnp.zeros_like(prior.mean), rows, reverse=True)
+    return prior.mean + prior.variance * r, noise

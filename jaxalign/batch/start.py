@@ -1,0 +1,101 @@
+"""An attitude that needs no guess: Wahba's problem with the first velocity free, reweighted over a whole history."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxalign.batch.model import Guess
+from jaxalign.epochs import Epochs
+from jaxalign.estimate.davenport import davenport
+from jaxalign.observe.frames import Place, gravity_impulse, turn
+from jaxalign.vector import Mat3, Quat, Vec3
+
+__all__ = ["robust_start", "views"]
+
+_ROUNDS = 12
+_LAST = 4  # of them with a weight that falls to zero, those before with that of least absolute values
+_MEDIAN = 1.538  # of the length of three unit normal numbers
+_CUTOFF = 6.0  # Tukey's
+
+
+def views(epochs: Epochs) -> tuple[Vec3, Vec3]:
+    """What the force and the aid say of the velocity gained since the first epoch.
+
+    Returns:
+        alpha (K,) in n0 and beta (K,) in b0, m/s: ``C_n0b0 beta - alpha`` is the first velocity (body aid), less it
+        (navigation aid), or zero (standing), but for noise. Left out is what would need the attitude: with a body
+        aid the transport rate and the term of Coriolis (0.1 m/s after 300 s at 5 m/s).
+    """
+    place = Place.of(epochs.site)
+    w_ie, nav = place.earth_rate, epochs.aid == "nav"
+
+    def step(carry: Any, row: Any) -> Any:
+        q_b0b, q_n0n, force, fallen, moved, seen = carry
+        velocity = jax.tree.map(lambda new, old: jnp.where(row.valid, new, old), row.velocity, seen)
+        rate = w_ie + place.transport_rate(velocity) if nav else w_ie
+        force = force + q_b0b.rotate(row.dvel)
+        fallen = fallen + q_n0n.rotate(gravity_impulse(rate, place.gravity, row.dt))
+        q_b0b, q_n0n = (q_b0b * row.rotation).renormalised(), turn(q_n0n, rate, row.dt)
+        moved = moved + q_n0n.rotate(velocity) * row.dt
+        if epochs.aid == "body":
+            pair = fallen, q_b0b.rotate(row.velocity) - force
+        elif nav:
+            pair = q_n0n.rotate(row.velocity) + w_ie.cross(moved) - fallen, force
+        else:
+            pair = -fallen, force
+        return (q_b0b, q_n0n, force, fallen, moved, velocity), pair
+
+    zero, none = Vec3.zero(), Quat.identity()
+    return jax.lax.scan(step, (none, none, zero, zero, zero, zero), epochs.rows)[1]
+
+
+def _median(x: Float[Array, " K"], used: Bool[Array, " K"]) -> Any:
+    ordered = jnp.sort(jnp.where(used, x, jnp.inf))
+    return ordered[jnp.maximum((jnp.sum(used) - 1) // 2, 0)]
+
+
+def robust_start(
+    alpha: Vec3, beta: Vec3, used: Bool[Array, " K"], sd: Any, aid: str
+) -> tuple[Guess, Float[Array, " K"], Float[Array, ""]]:
+    """Attitude and first velocity that most of the pairs agree on.
+
+    Args:
+        alpha: (K,) in n0.
+        beta: (K,) in b0.
+        used: which of them to use.
+        sd: least noise to believe in, m/s.
+        aid: kind of aid.
+
+    Returns:
+        The guess, the weights (0..1) and the standard deviation (m/s per axis) of what is left.
+    """
+
+    def fitted(weight: Any) -> tuple[Quat, Vec3, Any, Any]:
+        share = weight / jnp.maximum(jnp.sum(weight), 1e-12)
+
+        def mean(v: Vec3) -> Vec3:
+            return jax.tree.map(lambda x: jnp.sum(share * x), v)
+
+        a, b = mean(alpha), mean(beta)
+        da, db = alpha - a, beta - b
+        columns = (db.x, db.y, db.z)
+        profile = Mat3(*(Vec3(*(jnp.sum(share * x * y) for y in columns)) for x in (da.x, da.y, da.z)))
+        attitude = davenport(profile).vector
+        length = (da - attitude.rotate(db)).norm()
+        scale = jnp.maximum(_median(length, used) / _MEDIAN, sd)
+        return attitude, attitude.rotate(b) - a, length, scale
+
+    def step(weight: Any, index: Any) -> Any:
+        _, _, length, scale = fitted(weight)
+        near = jnp.minimum(1.0, scale / jnp.maximum(length, scale))
+        falling = jnp.maximum(0.0, 1.0 - (length / (_CUTOFF * scale)) ** 2) ** 2
+        return jnp.where(used, jnp.where(index < _ROUNDS - _LAST, near, falling), 0.0), None
+
+    weight, _ = jax.lax.scan(step, used * 1.0, jnp.arange(_ROUNDS))
+    attitude, rest, _, scale = fitted(weight)
+    velocity = -rest if aid == "nav" else rest
+    return Guess.of(attitude, velocity), weight, scale
