@@ -67,7 +67,11 @@ def measure(name: str) -> list[dict[str, Any]]:
         drawing = jax.jit(lambda keys, world=world: world.epochs(keys)).lower(keys).compile()
         forward = jax.jit(lambda free, batch, of=ready.objective: of(free, batch)).lower(free, ready.batch).compile()
         start = time.perf_counter()
-        graded = jax.jit(lambda free, batch, of=ready.objective, mode=mode: loss_and_slope(of, free, batch, mode))
+
+        def slope(free: Any, batch: Any, of: Any = ready.objective, mode: Mode = mode) -> Any:
+            return loss_and_slope(of, free, batch, mode)
+
+        graded = jax.jit(slope)
         graded = graded.lower(free, ready.batch).compile()
         compiled = time.perf_counter() - start
         study = best(drawing, keys) + best(forward, free, ready.batch)

@@ -140,7 +140,10 @@ def _times(m: Any, rows: Any) -> Any:
 
 
 def forth(row: Path, x: Array) -> Array:
-    """Errors (n,), or columns of them (n, n), at the epoch of a row from those at the one before. What is beyond twelve stays."""
+    """Errors (n,), or columns of them (n, n), at the epoch of a row from those at the one before it.
+
+    What is beyond twelve stays.
+    """
     d, m = skew(row.impulse), row.turned
     gyro = _times(m, x[GYRO])
     tilt = x[TILT] - gyro
