@@ -18,6 +18,8 @@ of it a :mod:`jaxalign.prefilter` may smooth the force of a standing vehicle.
 
 from jaxalign import earth, io, methods, metrics, prefilter, rotation, simulate, study
 from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
+from jaxalign.batch import ImuErrors, RobustMap, imu_errors
+from jaxalign.bounds import Bound, bound
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
 from jaxalign.errors import UserError
@@ -58,6 +60,7 @@ __all__ = [
     "Aligner",
     "ApparentVelocityFilter",
     "BodyVelocity",
+    "Bound",
     "CentredWahba",
     "Context",
     "DualVector",
@@ -67,6 +70,7 @@ __all__ = [
     "FilterRecord",
     "Fine",
     "Huber",
+    "ImuErrors",
     "Increment",
     "KMatrixFilter",
     "Log",
@@ -84,6 +88,7 @@ __all__ = [
     "Readout",
     "Request",
     "Rls",
+    "RobustMap",
     "Site",
     "Solution",
     "Static",
@@ -92,11 +97,13 @@ __all__ = [
     "UserError",
     "Vec3",
     "align",
+    "bound",
     "davenport",
     "earth",
     "epochs_from_arrays",
     "epochs_from_log",
     "estimate_aid_sd",
+    "imu_errors",
     "io",
     "methods",
     "metrics",

@@ -47,8 +47,8 @@ def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) ->
     c_n0b0 = Quat.of(quat_from_dcm(exact.C_nb[0]))
     guess = Guess.of(c_n0b0, Vec3.of(exact.velocity_n[0]))
     path = navigated(epochs, guess)
-    measured = fixes(path, epochs.rows.velocity, epochs.aid)
-    variance = jnp.where(epochs.rows.valid, sd**2, 1e12)
+    measured = fixes(path, epochs.rows.velocity, epochs.rows.valid, epochs.aid)
+    variance = jnp.full(len(epochs), 1.0) * sd**2
     speed = jnp.where(known, _EXACT, _FAST)
     deviations = jnp.concatenate([jnp.full(3, UNKNOWN), jnp.full(3, speed), *_biases(imu)])
     found = filtered(path, measured, variance, imu, Prior(jnp.zeros(12), deviations**2), keep=True)

@@ -43,8 +43,8 @@ def _fields(module: Any, prefix: str = "") -> Iterator[tuple[str, Any, dataclass
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         path = f"{prefix}{field.name}"
-        if value is None and field.metadata.get("slot"):
-            continue  # an empty slot has nothing to set
+        if (value is None and field.metadata.get("slot")) or field.metadata.get("given"):
+            continue  # an empty slot has nothing to set, and what a recipe is built for stays
         if isinstance(value, eqx.Module):
             hidden = field.metadata.get("hides", ())
             yield from (x for x in _fields(value, f"{path}.") if x[0].removeprefix(f"{path}.") not in hidden)

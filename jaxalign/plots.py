@@ -16,10 +16,11 @@ from jaxalign.solution import Solution, Status
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from jaxalign.bounds import Bound
     from jaxalign.study import Result
     from jaxalign.tune import Tuned
 
-__all__ = ["attitude", "compare", "require", "study", "tuning"]
+__all__ = ["attitude", "bound", "compare", "require", "study", "tuning"]
 
 _GREY = "0.6"
 
@@ -182,11 +183,30 @@ def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure
     return figure
 
 
-def study(result: Result) -> Figure:
+def bound(found: Bound, title: str = "") -> Figure:
+    """The Cramer-Rao bound over time.
+
+    Args:
+        found: of :func:`jaxalign.bounds.bound`.
+        title: of the figure.
+    """
+    figure, axes = _figure(3, 8)
+    for i, (axis, name) in enumerate(zip(axes, ("pitch", "roll", "yaw"), strict=True)):
+        axis.plot(found.time[1:], found.euler_deg[1:, i], color="k")
+        axis.set_yscale("log")
+        axis.set_ylabel(f"{name}, least\nstandard deviation (deg)")
+        axis.grid(True, which="both", color="0.9", linewidth=0.6)
+    axes[-1].set_xlabel("time (s)")
+    axes[0].set_title(f"{title}: Cramér-Rao bound".removeprefix(": "), fontsize="medium")
+    return figure
+
+
+def study(result: Result, limit: Bound | None = None) -> Figure:
     """Root mean square errors of a study over time, with their standard errors, and the share of good headings.
 
     Args:
         result: of :func:`jaxalign.study.run`.
+        limit: the bound of its scenario, drawn beside them.
     """
     figure, axes = _figure(4, 11)
     for label, method in result.methods.items():
@@ -196,6 +216,10 @@ def study(result: Result) -> Figure:
             (line,) = axis.plot(time, rmse, label=label)
             axis.fill_between(time, rmse - 2 * error, rmse + 2 * error, color=line.get_color(), alpha=0.25, linewidth=0)
         axes[3].plot(time, 100.0 * method.within.value[:, 2], label=label)
+    if limit is not None:
+        seen = np.asarray(limit.time) >= min(method.time_s[0] for method in result.methods.values())
+        for i, axis in enumerate(axes[:3]):
+            axis.plot(limit.time[seen], limit.euler_deg[seen, i], "k--", linewidth=1, label="Cramér-Rao bound")
     for axis, name in zip(axes, ("pitch", "roll", "yaw"), strict=False):
         axis.set_yscale("log")
         axis.set_ylabel(f"{name} RMSE (deg)")

@@ -16,6 +16,7 @@ from jaxalign.batch.model import ACCEL, GYRO, SPEED, TILT, Guess, navigated
 from jaxalign.batch.smoother import Prior, filtered, fixes, smoothed
 from jaxalign.batch.start import robust_start, views
 from jaxalign.epochs import Aid, Epochs, epochs_from_log
+from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_interval, optional_count
 from jaxalign.parameters import tunable
@@ -25,8 +26,8 @@ from jaxalign.vector import Quat, Vec3, where
 __all__ = ["RobustMap"]
 
 _UNKNOWN = np.pi / np.sqrt(3.0)  # rad: an angle of which nothing is known is uniform over a turn
-_FAST = 300.0  # m/s: nothing is known of the first velocity
-_NEVER = 1e-12  # weight of what is not there
+_FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity, and nothing lost to rounding
+_LEAST = 1e-12  # weight
 _BELIEF = 6.0  # numbers that the stated noise of the aid is worth
 _FITTED = 8.0  # numbers that the attitude, the first velocity and what is seen of the biases take up
 _BLIND = np.deg2rad(20.0)
@@ -44,8 +45,9 @@ class RobustMap(eqx.Module):
         imu: figures of the inertial unit.
         outliers: probability of an outlier beforehand.
         spread: standard deviation of outliers over that of the others.
-        noise: "estimated": the aid's standard deviation from the data, the stated one being worth a few fixes;
-            "stated": as it is.
+        noise: standard deviation of the aid. "at_least" (default): the stated one, or that of the data where it is
+            larger; "estimated": that of the data, the stated one being worth a few fixes; "stated": as it is. Data tell
+            of white noise alone: where a stated figure covers slow errors too, the estimate is too small.
         calibrate: scale factor and misalignment of a body aid as unknowns too.
         scale_sd: of the scale factor beforehand.
         mounting_sd_deg: of each angle of the misalignment beforehand.
@@ -61,15 +63,17 @@ class RobustMap(eqx.Module):
     spread: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))
     scale_sd: Float[Array, ""] = tunable(0.005, unit="1", bounds=(1e-6, 0.1))
     mounting_sd_deg: Float[Array, ""] = tunable(1.0, unit="deg", bounds=(1e-4, 10.0))
-    noise: Literal["estimated", "stated"] = eqx.field(static=True, default="estimated")
+    noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
     calibrate: bool = eqx.field(static=True, default=False)
     iterations: int = eqx.field(static=True, default=8)
-    aid: Aid = eqx.field(static=True, default="body")
+    aid: Aid = eqx.field(static=True, default="body", metadata={"given": True})
     interval_samples: int | None = optional_count()
 
     def __check_init__(self):
-        check_choice("noise", self.noise, ("estimated", "stated"))
+        check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
         check_interval(self.interval_samples)
+        if self.calibrate and self.aid != "body":
+            raise UserError("calibrate: scale and misalignment are those of a body aid: leave it out")
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method."""
@@ -83,9 +87,9 @@ class RobustMap(eqx.Module):
         """See :func:`jaxalign.align`."""
         return align(self, log, every)
 
-    def _prior(self, guess: Guess, calibration: Any) -> Prior:
+    def _prior(self, guess: Guess, calibration: Any, stated: Any) -> Prior:
         imu, mounting = self.imu, jnp.deg2rad(self.mounting_sd_deg)
-        parts = [(3, _UNKNOWN), (3, _FAST), (3, imu.gyro_bias), (3, imu.accel_bias)]
+        parts = [(3, _UNKNOWN), (3, _FREE * stated), (3, imu.gyro_bias), (3, imu.accel_bias)]
         mean = [jnp.zeros(6), -guess.gyro.array, -guess.accel.array]
         if self.calibrate:
             parts += [(1, self.scale_sd), (3, mounting)]
@@ -107,7 +111,7 @@ class RobustMap(eqx.Module):
         stated = jnp.maximum(epochs.aid_sd, 1e-6)
         guess, weight, scale = jax.lax.stop_gradient(robust_start(*seen, used, 1e-6, self.aid))
         variance = stated**2
-        if self.noise == "estimated":
+        if self.noise != "stated":
             variance = jnp.maximum(variance, scale**2)
         calibration = jnp.zeros(4 if self.calibrate else 0)
 
@@ -118,9 +122,9 @@ class RobustMap(eqx.Module):
             if self.calibrate:
                 turned = aid + Vec3.of(calibration[1:]).cross(aid)
                 aid = turned * (1.0 / (1.0 + calibration[0]))
-            measured = fixes(path, aid, self.aid, self.calibrate)
-            each = variance / jnp.where(used, jnp.maximum(weight, _NEVER), _NEVER)
-            prior = self._prior(guess, calibration)
+            measured = fixes(path, aid, used, self.aid, self.calibrate)
+            each = variance / jnp.where(used, jnp.maximum(weight, _LEAST), 1.0)
+            prior = self._prior(guess, calibration, stated)
             return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
 
         def step(state: Any, _: Any) -> Any:
@@ -128,10 +132,12 @@ class RobustMap(eqx.Module):
             path, measured, each, prior, found = solved(state)
             error, noise = smoothed(path, measured, each, prior, found)
             good, weight = self._weighed(noise, variance, used)
-            if self.noise == "estimated":
+            if self.noise != "stated":
                 squares = jnp.sum(good[:, None] * noise**2)
                 count = jnp.maximum(3 * jnp.sum(good) - _FITTED, 0.0)
                 variance = (_BELIEF * stated**2 + squares) / (_BELIEF + count)
+                if self.noise == "at_least":
+                    variance = jnp.maximum(variance, stated**2)
             return (guess.moved(error), calibration + error[12:], weight, variance), noise
 
         state, noise = jax.lax.scan(step, (guess, calibration, weight, variance), None, length=self.iterations)

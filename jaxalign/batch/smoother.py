@@ -14,7 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.model import Path, back, forth, skew
@@ -63,12 +63,13 @@ class Filtered(eqx.Module):
     gain: Float[Array, "K 3 n"]
 
 
-def fixes(path: Path, velocity: Vec3, aid: str, calibrated: bool = False) -> Measured:
+def fixes(path: Path, velocity: Vec3, used: Bool[Array, " K"], aid: str, calibrated: bool = False) -> Measured:
     """The velocities of an aid along a path.
 
     Args:
         path: guessed.
         velocity: (K,) of the aid, m/s, in b or n; any where the vehicle stands.
+        used: (K,) where there is one to use; elsewhere nothing is measured.
         aid: "body", "nav" or "static" (the velocity is zero).
         calibrated: four more unknowns, of a body aid: its scale factor and its misalignment (rad, b), with
             ``v_measured = (1 + scale) (v - misalignment x v)``.
@@ -87,7 +88,9 @@ def fixes(path: Path, velocity: Vec3, aid: str, calibrated: bool = False) -> Mea
     blocks = [tilt, unit, none, none]
     if calibrated:
         blocks += [v.array[..., None], tilt @ path.q_n0b.matrix.array]
-    return Measured((seen - v).array, jnp.concatenate(blocks, axis=-1))
+    there = used[:, None]
+    slope = jnp.concatenate(blocks, axis=-1)
+    return Measured(jnp.where(there, (seen - v).array, 0.0), jnp.where(there[..., None], slope, 0.0))
 
 
 def _noise(row: Path, imu: ImuErrors) -> Float[Array, "6 6"]:
@@ -109,7 +112,7 @@ def filtered(
     Args:
         path: guessed.
         measured: along it.
-        variance: of each measurement per axis, (m/s)^2; very large where there is none.
+        variance: of each measurement per axis, (m/s)^2; any positive number where there is none.
         imu: its noise.
         prior: of the errors at the first epoch, before its measurement.
         keep: mean and covariance at all epochs (else only the last: leaves with a first axis of one).

@@ -16,7 +16,7 @@ from jaxalign.errors import UserError
 
 __all__ = ["entry", "main", "parser"]
 
-_COMMANDS = ("align", "info", "methods", "simulate", "study", "tune")
+_COMMANDS = ("align", "bound", "info", "methods", "simulate", "study", "tune")
 
 
 def parser() -> argparse.ArgumentParser:

@@ -172,9 +172,12 @@ class Result:
                 stream.write(text.encode())
         if plot:
             from jaxalign import plots
+            from jaxalign.bounds import bound
 
+            made = self.study.scenario
+            limit = None if made.force is not None else bound(made)
             written.append(folder / "results.png")
-            figure = plots.study(self)
+            figure = plots.study(self, limit)
             with replacing(written[-1]) as stream:
                 figure.savefig(stream, format="png")
         return written
