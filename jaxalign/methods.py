@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxalign.aligner import Aligner
-from jaxalign.batch import RobustMap
 from jaxalign.epochs import Aid
 from jaxalign.errors import UserError, close_names
 from jaxalign.estimate import CentredWahba, KMatrixFilter, OptimalRequest, QMethod, QuaternionFilter, Request
@@ -42,7 +41,6 @@ __all__ = [
     "rls_q",
     "rls_quaternion_kf",
     "roba",
-    "robust_map",
     "triad",
     "velocity_q",
     "vo_tvk",
@@ -181,12 +179,6 @@ def rls_q(aid: Aid = "static", **options: Any) -> Aligner:
 def centred_oba(aid: Aid = "body", **options: Any) -> Aligner:
     """The same with the first velocity free: on the Cramer-Rao bound for clean aid noise."""
     return Aligner(observer(aid, **options), estimate=CentredWahba())
-
-
-@_recipe("body", "nav", "static", source="none of the papers: mixture likelihood, Gauss-Newton by filter and smoother")
-def robust_map(aid: Aid = "body", **options: Any) -> RobustMap:
-    """The most probable attitude by all fixes, outliers told from the rest, with biases and honest deviations."""
-    return RobustMap(aid=aid, **options)
 
 
 def build(

@@ -18,7 +18,6 @@ from jaxalign.tune import space_of
 FINE = "velocity_sd initial_velocity_sd initial_tilt_sd_deg initial_heading_sd_deg accel_bias_ug gyro_bias_deg_h "
 FINE += "accel_noise_ug_sqrt_hz gyro_walk_deg_sqrt_h accel_bias_walk_ug_sqrt_h gyro_bias_walk_deg_h_sqrt_h"
 WALKS = {"filter.accel_bias_walk_ug_sqrt_h": 5.0, "filter.gyro_bias_walk_deg_h_sqrt_h": 0.05}
-IMU = "gyro_bias_deg_h gyro_walk_deg_sqrt_h accel_bias_ug accel_noise_ug_sqrt_hz"
 POSITION = "position_sd initial_position_sd"
 CONSTANT = {"estimate.noise": "constant"}
 TABLE = [
@@ -95,33 +94,15 @@ TABLE = [
         " ".join(f"filter.{x}" for x in (FINE + " " + POSITION).split()) + " heading_margin",
         "",
     ),
-    (
-        "robust_map",
-        {"calibrate": True},
-        None,
-        " ".join(f"imu.{x}" for x in IMU.split()) + " outliers spread scale_sd mounting_sd_deg",
-        "",
-    ),
-    (
-        "robust_map",
-        {"noise": "stated"},
-        None,
-        " ".join(f"imu.{x}" for x in IMU.split()) + " outliers spread",
-        "scale_sd mounting_sd_deg",
-    ),
 ]
 STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2)}
-# A calibration is that of a body aid; otherwise one aid serves.
-UNUSED = [
-    ("robust_map", aid, which) for aid, which in (("body", False), ("nav", True), ("static", True), ("static", False))
-]
 QUICK = ("roba", "request", "optimal_request")  # the others compile for 15 s each
 
 
 def expanded():
     for name, settings, prefilter, active, idle in TABLE:
         for row, aid in ROWS:
-            if row == name and (active or idle) and (name, aid, "calibrate" in settings) not in UNUSED:
+            if row == name and (active or idle):
                 label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
                 quick = name in QUICK and aid == "body"
                 marks = () if quick else pytest.mark.slow
@@ -195,7 +176,6 @@ def test_derivatives(name, aid, settings, prefilter, active, idle):
                 ("quaternion_kf", "static", {}),
                 ("rls_quaternion_kf", "static", {}),
                 ("fine", "static", {}),
-                ("robust_map", "body", {"calibrate": True}),
             )
         ],
     ],
