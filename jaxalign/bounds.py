@@ -7,11 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import TILT, Guess, navigated
+from jaxalign.batch.model import TILT, UNKNOWN, Guess, navigated
 from jaxalign.batch.smoother import Prior, filtered, fixes
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
@@ -22,8 +21,6 @@ from jaxalign.vector import Quat, Vec3
 
 __all__ = ["Bound", "bound"]
 
-# An angle of which nothing is known is uniform over a turn: the bound of an attitude that is not yet observable.
-UNKNOWN = np.pi / np.sqrt(3.0)
 _FAST = 1e3  # m/s: nothing is known of the first velocity
 _EXACT = 1e-6  # m/s: a vehicle at rest
 

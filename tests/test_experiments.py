@@ -181,6 +181,6 @@ def test_experiment(name, tmp_path):
         assert 3000 < picture.stat().st_size < 200_000
     with (tmp_path / "results.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) > 30
+    assert len(rows) > (30 if name == "tuning" else 100)  # a quick run of it is one problem
     assert all(math.isfinite(float(row["value"])) for row in rows)
     assert all(float(row["standard error"] or 0.0) >= 0 for row in rows)

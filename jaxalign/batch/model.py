@@ -23,6 +23,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.epochs import Epochs
@@ -30,10 +31,12 @@ from jaxalign.observe.frames import Place, gravity_impulse, turn
 from jaxalign.preintegrate import Increment
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["ACCEL", "GYRO", "SPEED", "STATES", "TILT", "Guess", "Path", "back", "forth", "navigated", "skew"]
+__all__ = ["ACCEL", "GYRO", "SPEED", "STATES", "TILT", "UNKNOWN", "Guess", "Path", "back", "forth", "navigated", "skew"]
 
 TILT, SPEED, GYRO, ACCEL = (slice(3 * i, 3 * i + 3) for i in range(4))
 STATES = 12
+UNKNOWN = np.pi / np.sqrt(3.0)
+"""rad: an angle of which nothing is known is uniform over a turn."""
 
 
 class Guess(eqx.Module):

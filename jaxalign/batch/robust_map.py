@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxalign.aligner import align
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import ACCEL, GYRO, SPEED, TILT, Guess, navigated
+from jaxalign.batch.model import ACCEL, GYRO, SPEED, TILT, UNKNOWN, Guess, navigated
 from jaxalign.batch.smoother import Prior, filtered, fixes, smoothed
 from jaxalign.batch.start import robust_start, views
 from jaxalign.epochs import Aid, Epochs, epochs_from_log
@@ -25,7 +25,6 @@ from jaxalign.vector import Quat, Vec3, where
 
 __all__ = ["RobustMap"]
 
-_UNKNOWN = np.pi / np.sqrt(3.0)  # rad: an angle of which nothing is known is uniform over a turn
 _FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity, and nothing lost to rounding
 _LEAST = 1e-12  # weight
 _BELIEF = 6.0  # numbers that the stated noise of the aid is worth
@@ -89,7 +88,7 @@ class RobustMap(eqx.Module):
 
     def _prior(self, guess: Guess, calibration: Any, stated: Any) -> Prior:
         imu, mounting = self.imu, jnp.deg2rad(self.mounting_sd_deg)
-        parts = [(3, _UNKNOWN), (3, _FREE * stated), (3, imu.gyro_bias), (3, imu.accel_bias)]
+        parts = [(3, UNKNOWN), (3, _FREE * stated), (3, imu.gyro_bias), (3, imu.accel_bias)]
         mean = [jnp.zeros(6), -guess.gyro.array, -guess.accel.array]
         if self.calibrate:
             parts += [(1, self.scale_sd), (3, mounting)]
