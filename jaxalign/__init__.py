@@ -32,6 +32,7 @@ from jaxalign.estimate import (
     QuaternionFilter,
     Readout,
     Request,
+    RevisingWahba,
     davenport,
 )
 from jaxalign.fine import ErrorFilter, Fine
@@ -45,6 +46,7 @@ from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Me
 from jaxalign.record_method import AbstractRecordMethod
 from jaxalign.solution import FilterRecord, Solution, Status
 from jaxalign.two_vector import DualVector, MeanTriad
+from jaxalign.uncertainty import assess
 from jaxalign.vector import Mat3, Quat, Vec3
 from jaxalign.weight import AbstractWeight, Huber, Mahalanobis, Unit
 
@@ -87,6 +89,7 @@ __all__ = [
     "QuaternionFilter",
     "Readout",
     "Request",
+    "RevisingWahba",
     "Rls",
     "RobustMap",
     "Site",
@@ -97,6 +100,7 @@ __all__ = [
     "UserError",
     "Vec3",
     "align",
+    "assess",
     "bound",
     "davenport",
     "earth",

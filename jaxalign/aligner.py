@@ -185,7 +185,7 @@ class Aligner(eqx.Module):
             weight=state.used,
             alpha=pair.alpha.array,
             beta=pair.beta.array,
-            sd=None,
+            covariance=None,
             status=status,
             aid_sd=state.sd,
         )

@@ -15,7 +15,7 @@ from jaxalign.batch.smoother import Prior, filtered, fixes
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.precision import require_x64
-from jaxalign.rotation import euler_from_quat, quat_from_dcm
+from jaxalign.rotation import euler_covariance, quat_from_dcm
 from jaxalign.simulate import Scenario, Truth, intervals_of, measure_epochs, noiseless, truth
 from jaxalign.vector import Quat, Vec3
 
@@ -52,12 +52,7 @@ def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) ->
     turned = path.q_n0n.matrix.array
     covariance = jnp.einsum("kji,kjl,klm->kim", turned, found.covariance[:, TILT, TILT], turned)
     q_nb = path.q_n0n.conjugate() * path.q_n0b
-
-    def angles(q: Quat, phi: Any) -> Any:
-        return euler_from_quat((Quat.exp(Vec3.of(phi)) * q).array)
-
-    slope = jax.vmap(jax.jacfwd(angles, argnums=1), (0, None))(q_nb, jnp.zeros(3))
-    euler = jnp.einsum("kij,kjl,kil->ki", slope, covariance, slope)
+    euler = jnp.diagonal(euler_covariance(q_nb.array, covariance), axis1=1, axis2=2)
     phi = jnp.diagonal(covariance, axis1=1, axis2=2)
     return Bound(jnp.cumsum(path.dt), *(jnp.rad2deg(jnp.sqrt(x)) for x in (phi, euler)))
 

@@ -14,7 +14,15 @@ from typing import Any
 from jaxalign.aligner import Aligner
 from jaxalign.epochs import Aid
 from jaxalign.errors import UserError, close_names
-from jaxalign.estimate import CentredWahba, KMatrixFilter, OptimalRequest, QMethod, QuaternionFilter, Request
+from jaxalign.estimate import (
+    CentredWahba,
+    KMatrixFilter,
+    OptimalRequest,
+    QMethod,
+    QuaternionFilter,
+    Request,
+    RevisingWahba,
+)
 from jaxalign.fine import Fine
 from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
 from jaxalign.parameters import with_parameters
@@ -37,6 +45,7 @@ __all__ = [
     "optimal_request",
     "quaternion_kf",
     "request",
+    "revising_oba",
     "rkf_oba",
     "rls_q",
     "rls_quaternion_kf",
@@ -179,6 +188,12 @@ def rls_q(aid: Aid = "static", **options: Any) -> Aligner:
 def centred_oba(aid: Aid = "body", **options: Any) -> Aligner:
     """The same with the first velocity free: on the Cramer-Rao bound for clean aid noise."""
     return Aligner(observer(aid, **options), estimate=CentredWahba())
+
+
+@_recipe("body", "nav", source="none of the papers: centred, reweighted over a history, in constant memory")
+def revising_oba(aid: Aid = "body", **options: Any) -> Aligner:
+    """The same with outliers: recursive, and the weights of the last 64 vectors are open to revision."""
+    return Aligner(observer(aid, **options), estimate=RevisingWahba())
 
 
 def build(

@@ -32,7 +32,7 @@ class Found(eqx.Module):
         alpha: a vector in n0, m/s.
         beta: the same in b0.
         residual: alpha - C_n0b0 beta, m/s.
-        sd: standard deviations of the attitude error in n, rad, where known.
+        covariance: of the attitude error in n, rad^2, where known.
         filter: what a filter tells beside the attitude.
     """
 
@@ -41,7 +41,7 @@ class Found(eqx.Module):
     alpha: Vec3
     beta: Vec3
     residual: Vec3
-    sd: Float[Array, "K 3"] | None = None
+    covariance: Float[Array, "K 3 3"] | None = None
     filter: FilterRecord | None = None
 
 
@@ -80,7 +80,7 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
     rows = np.unique([*range(0, count, every), count - 1])
     whole = InertialRecord.of(epochs)
     found, time = method.find(epochs, whole, rows), whole.time[rows]
-    numbers = jax.tree.leaves((found.q_nb, found.residual, found.sd, found.filter))
+    numbers = jax.tree.leaves((found.q_nb, found.residual, found.covariance, found.filter))
     finite = jnp.all(jnp.stack([jnp.isfinite(x).reshape(len(rows), -1).all(axis=1) for x in numbers]), axis=0)
     defined = found.defined & finite
     observable = whole.observable(epochs.aid_sd)[rows] & defined
@@ -105,7 +105,7 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
         weight=aided * one,
         alpha=found.alpha.array,
         beta=found.beta.array,
-        sd=None if found.sd is None else masked(found.sd),
+        covariance=None if found.covariance is None else masked(found.covariance),
         status=bits.astype(jnp.int32),
         aid_sd=epochs.aid_sd * one,
         filter=jax.tree.map(masked, found.filter),

@@ -8,6 +8,7 @@ in rad of ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``, n = East-North-Up, b = right-fo
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
@@ -18,6 +19,7 @@ __all__ = [
     "attitude_error",
     "dcm_from_euler",
     "dcm_from_quat",
+    "euler_covariance",
     "euler_from_dcm",
     "euler_from_quat",
     "heading_deg",
@@ -119,6 +121,17 @@ def euler_from_dcm(dcm: Float[ArrayLike, "*s 3 3"]) -> Float[Array, "*s 3"]:
 def euler_from_quat(q: Float[ArrayLike, "*s 4"]) -> Float[Array, "*s 3"]:
     """(pitch, roll, yaw) in rad of q_nb."""
     return euler_from_dcm(dcm_from_quat(q))
+
+
+def euler_covariance(q_nb: Float[ArrayLike, "*s 4"], covariance: Float[ArrayLike, "*s 3 3"]) -> Float[Array, "*s 3 3"]:
+    """Covariance of pitch, roll and yaw (rad^2), to first order, from that of the attitude error in n."""
+
+    def one(q, phi):
+        return euler_from_quat((Quat.exp(Vec3.of(phi)) * Quat.of(q)).array)
+
+    q = jnp.asarray(q_nb)
+    slope = jax.vmap(jax.jacfwd(one, argnums=1), (0, None))(q.reshape(-1, 4), jnp.zeros(3)).reshape(*q.shape[:-1], 3, 3)
+    return slope @ jnp.asarray(covariance) @ jnp.swapaxes(slope, -1, -2)
 
 
 def heading_deg(yaw: Float[ArrayLike, "*s"]) -> Float[Array, "*s"]:

@@ -6,11 +6,14 @@ from enum import IntFlag
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxalign.rotation import dcm_from_quat, euler_from_quat, heading_deg
+from jaxalign.errors import UserError
+from jaxalign.rotation import dcm_from_quat, euler_covariance, euler_from_quat, heading_deg
+from jaxalign.vector import root
 
 __all__ = ["FilterRecord", "Solution", "Status"]
 
@@ -30,9 +33,12 @@ class Status(IntFlag):
     """The aid has a sample here, but no vector came of it, or its weight is zero."""
     SINGULAR = 32
     """The filter's innovation covariance was singular at some epoch: from there on it takes no vectors."""
+    INDICATIVE = 64
+    """The covariance leaves something out that matters here: take it as a hint."""
 
 
 _dcm, _euler = jax.jit(dcm_from_quat), jax.jit(euler_from_quat)
+_euler_covariance = jax.jit(euler_covariance)
 _heading = jax.jit(lambda q: heading_deg(euler_from_quat(q)[..., 2]))
 
 
@@ -43,17 +49,19 @@ class FilterRecord(eqx.Module):
         gyro_bias: (K, 3) rad/s, b.
         accel_bias: (K, 3) m/s^2, b.
         covariance: (K, n, n) of its error states, SI.
-        innovation: (K, m) measured minus predicted at this epoch; zero where there was no update.
-        innovation_covariance: (K, m, m).
-        updated: (K,) 1 where there was an update, else 0.
+        innovation: (K, m) measured minus predicted at this epoch; zero where there was no update. None: no filter.
+        innovation_covariance: (K, m, m), or None.
+        updated: (K,) 1 where there was an update, else 0; or None.
+        log_likelihood: (K,) of the measurements up to this epoch by the model, but for a constant; or None.
     """
 
     gyro_bias: Float[Array, "*K 3"]
     accel_bias: Float[Array, "*K 3"]
     covariance: Float[Array, "*K n n"]
-    innovation: Float[Array, "*K m"]
-    innovation_covariance: Float[Array, "*K m m"]
-    updated: Float[Array, "*K"]
+    innovation: Float[Array, "*K m"] | None = None
+    innovation_covariance: Float[Array, "*K m m"] | None = None
+    updated: Float[Array, "*K"] | None = None
+    log_likelihood: Float[Array, "*K"] | None = None
 
 
 class Solution(eqx.Module):
@@ -76,7 +84,8 @@ class Solution(eqx.Module):
         weight: (K,) of that pair; 0 where there is none (aid missing here or at the other end of a window).
         alpha: (K, 3) the vector in n0, m/s.
         beta: (K, 3) the vector in b0, m/s, after reconstruction.
-        sd: (K, 3) standard deviations of the error in n (east, north, up), rad, where the method knows them; else None.
+        covariance: (K, 3, 3) of the attitude error in n (east, north, up), rad^2, where it is known; else None. What it
+            rests on: the filter's model (``fine``), the sensor model (``robust_map``, :func:`jaxalign.assess`).
         status: (K,) bits, see :class:`Status`.
         aid_sd: (K,) the aid's noise that was assumed, m/s, in every row.
         filter: biases, covariance and innovations of a method with an error model (``fine``); else None.
@@ -91,7 +100,7 @@ class Solution(eqx.Module):
     weight: Float[Array, "*K"]
     alpha: Float[Array, "*K 3"]
     beta: Float[Array, "*K 3"]
-    sd: Float[Array, "*K 3"] | None
+    covariance: Float[Array, "*K 3 3"] | None
     status: Int[Array, "*K"]
     aid_sd: Float[Array, "*K"]
     filter: FilterRecord | None = None
@@ -100,6 +109,36 @@ class Solution(eqx.Module):
         out = np.array(values)
         out[~np.asarray(self.defined)] = np.nan
         return out
+
+    @property
+    def sd(self) -> Float[Array, "*K 3"] | None:
+        """(K, 3) standard deviations of the attitude error in n, rad; also inside traced code. Up: of the heading."""
+        return None if self.covariance is None else root(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
+
+    @property
+    def euler_sd_deg(self) -> np.ndarray | None:
+        """(K, 3) of pitch, roll and heading in degrees on the host, NaN where there is no attitude."""
+        if self.covariance is None:
+            return None
+        variance = np.diagonal(_euler_covariance(self.q_nb, self.covariance), axis1=-2, axis2=-1)
+        return self._masked(np.rad2deg(np.sqrt(variance)))
+
+    def aligned(self, heading_sd_deg: float) -> np.ndarray:
+        """(K,) on the host: whether the heading's standard deviation is below a threshold, from here on.
+
+        Args:
+            heading_sd_deg: the threshold, deg.
+
+        Raises:
+            UserError: it is not above zero, or the solution has no covariance.
+        """
+        if not heading_sd_deg > 0:
+            raise UserError(f"the heading's standard deviation cannot fall below {heading_sd_deg} deg")
+        sd = self.euler_sd_deg
+        if sd is None:
+            raise UserError("this solution has no standard deviations: jaxalign.assess makes them")
+        below = np.nan_to_num(sd[..., 2], nan=np.inf) < heading_sd_deg
+        return np.flip(np.logical_and.accumulate(np.flip(below, axis=-1), axis=-1), axis=-1)
 
     @property
     def C_nb(self) -> np.ndarray:
@@ -131,12 +170,15 @@ class Solution(eqx.Module):
             "status": np.asarray(self.status),
             "aid_sd": np.asarray(self.aid_sd),
         }
-        if self.sd is not None:
-            out["sd_deg"] = self._masked(np.rad2deg(self.sd))
+        if self.covariance is not None:
+            out["sd_deg"] = self._masked(np.rad2deg(np.asarray(self.sd)))
+            out["euler_sd_deg"] = self.euler_sd_deg
+            out["attitude_covariance"] = self._masked(self.covariance)
         if self.filter is not None:
             out["gyro_bias"] = self._masked(self.filter.gyro_bias)
             out["accel_bias"] = self._masked(self.filter.accel_bias)
             out["covariance"] = self._masked(self.filter.covariance)
-            out["innovation"] = self._masked(self.filter.innovation)
-            out["innovation_covariance"] = self._masked(self.filter.innovation_covariance)
+            for name in ("innovation", "innovation_covariance", "log_likelihood"):
+                if (values := getattr(self.filter, name)) is not None:
+                    out[name] = self._masked(values)
         return out

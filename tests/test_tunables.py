@@ -28,6 +28,7 @@ TABLE = [
     ("velocity_q", {}, None, "", ""),
     ("oba", {}, None, "", ""),
     ("centred_oba", {}, None, "", ""),
+    ("revising_oba", {}, None, "estimate.cutoff", ""),
     ("roba", {"weight.gamma": 1.0}, None, "weight.gamma", ""),
     ("roba", {"weight.residual": "norm", "weight.gamma": 1.0}, None, "weight.gamma", ""),
     (

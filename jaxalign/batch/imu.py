@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import tomllib
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError, close_names
-from jaxalign.parameters import tunable
+from jaxalign.parameters import tunable, with_parameters
 from jaxalign.simulate import Scenario
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
-__all__ = ["GRADES", "ImuErrors", "imu_errors"]
+__all__ = ["GRADES", "ImuErrors", "imu_errors", "imu_figures"]
 
 
 class ImuErrors(eqx.Module):
@@ -80,3 +84,25 @@ def imu_errors(grade: str) -> ImuErrors:
         near = close_names(grade, GRADES) or list(GRADES)
         raise UserError(f"no grade {grade!r} of inertial units: did you mean {', '.join(near)}?")
     return ImuErrors(*(jnp.asarray(x) for x in GRADES[grade]))
+
+
+def imu_figures(text: str) -> ImuErrors:
+    """What was typed: the name of a grade, or of a TOML file with the fields of :class:`ImuErrors`.
+
+    Raises:
+        UserError: no such grade or file, an unknown or missing figure, or one outside its bounds.
+    """
+    if not text.lower().endswith(".toml"):
+        return imu_errors(text)
+    try:
+        figures = tomllib.loads(Path(text).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UserError(f"{text}: cannot be read as TOML: {error}") from error
+    names = [field.name for field in dataclasses.fields(ImuErrors)]
+    missing = [name for name in names if name not in figures]
+    if missing:
+        raise UserError(f"{text}: {', '.join(missing)} missing: it must give {', '.join(names)}")
+    try:
+        return with_parameters(ImuErrors(), figures)
+    except UserError as error:
+        raise UserError(f"{text}: {error}") from error

@@ -20,7 +20,7 @@ from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_interval, optional_count
 from jaxalign.parameters import tunable
-from jaxalign.solution import Solution, Status
+from jaxalign.solution import FilterRecord, Solution, Status
 from jaxalign.vector import Quat, Vec3, where
 
 __all__ = ["RobustMap"]
@@ -29,6 +29,7 @@ _FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity,
 _LEAST = 1e-12  # weight
 _BELIEF = 6.0  # numbers that the stated noise of the aid is worth
 _FITTED = 8.0  # numbers that the attitude, the first velocity and what is seen of the biases take up
+_LONGEST = 0.95  # correlation of neighbouring fixes
 _BLIND = np.deg2rad(20.0)
 
 
@@ -47,9 +48,11 @@ class RobustMap(eqx.Module):
         noise: standard deviation of the aid. "at_least" (default): the stated one, or that of the data where it is
             larger; "estimated": that of the data, the stated one being worth a few fixes; "stated": as it is. Data tell
             of white noise alone: where a stated figure covers slow errors too, the estimate is too small.
-        calibrate: scale factor and misalignment of a body aid as unknowns too.
+        calibrate: unknowns of the aid too: "none" (default), "mounting" (scale factor and misalignment of a body aid),
+            "latency" (its velocities are of some time ago), or "both".
         scale_sd: of the scale factor beforehand.
         mounting_sd_deg: of each angle of the misalignment beforehand.
+        latency_sd: of the latency beforehand, s. It is resolved to a fraction of the interval between epochs.
         iterations: Gauss-Newton steps.
         aid: that it observes.
         interval_samples: IMU samples per epoch; None: as the log has it.
@@ -62,8 +65,9 @@ class RobustMap(eqx.Module):
     spread: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))
     scale_sd: Float[Array, ""] = tunable(0.005, unit="1", bounds=(1e-6, 0.1))
     mounting_sd_deg: Float[Array, ""] = tunable(1.0, unit="deg", bounds=(1e-4, 10.0))
+    latency_sd: Float[Array, ""] = tunable(0.1, unit="s", bounds=(1e-4, 5.0))
     noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
-    calibrate: bool = eqx.field(static=True, default=False)
+    calibrate: Literal["none", "mounting", "latency", "both"] = eqx.field(static=True, default="none")
     iterations: int = eqx.field(static=True, default=8)
     aid: Aid = eqx.field(static=True, default="body", metadata={"given": True})
     interval_samples: int | None = optional_count()
@@ -71,8 +75,19 @@ class RobustMap(eqx.Module):
     def __check_init__(self):
         check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
         check_interval(self.interval_samples)
-        if self.calibrate and self.aid != "body":
-            raise UserError("calibrate: scale and misalignment are those of a body aid: leave it out")
+        check_choice("calibrate", self.calibrate, ("none", "mounting", "latency", "both"))
+        if self._mounting and self.aid != "body":
+            raise UserError("calibrate: scale and misalignment are those of a body aid; it may be none or latency here")
+        if self._latency and self.aid == "static":
+            raise UserError("calibrate: a standing vehicle has no aid to calibrate")
+
+    @property
+    def _mounting(self) -> bool:
+        return self.calibrate in ("mounting", "both")
+
+    @property
+    def _latency(self) -> bool:
+        return self.calibrate in ("latency", "both")
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method."""
@@ -90,9 +105,11 @@ class RobustMap(eqx.Module):
         imu, mounting = self.imu, jnp.deg2rad(self.mounting_sd_deg)
         parts = [(3, UNKNOWN), (3, _FREE * stated), (3, imu.gyro_bias), (3, imu.accel_bias)]
         mean = [jnp.zeros(6), -guess.gyro.array, -guess.accel.array]
-        if self.calibrate:
+        if self._mounting:
             parts += [(1, self.scale_sd), (3, mounting)]
-            mean.append(-calibration)
+        if self._latency:
+            parts.append((1, self.latency_sd))
+        mean.append(-calibration)
         sd = jnp.concatenate([jnp.full(n, 1.0) * x for n, x in parts])
         return Prior(jnp.concatenate(mean), sd**2)
 
@@ -104,6 +121,18 @@ class RobustMap(eqx.Module):
         good = jnp.where(used, jax.nn.sigmoid(odds), 0.0)
         return good, good + (1 - good) / wide
 
+    def _persistence(self, noise: Any, good: Any, variance: Any) -> Any:
+        """How many times the noise of a fix counts because its neighbours share it: (1 + r) / (1 - r).
+
+        r is the correlation of neighbouring fixes, never taken for negative; white noise with the variance so enlarged
+        has the same density at low frequencies, where the attitude is.
+        """
+        pair = (good[1:] * good[:-1])[:, None]
+        shared = jnp.sum(pair * noise[1:] * noise[:-1])
+        own = 0.5 * jnp.sum(pair * (noise[1:] ** 2 + noise[:-1] ** 2))
+        r = jnp.clip(shared / (own + _BELIEF * variance), 0.0, _LONGEST)
+        return (1.0 + r) / (1.0 - r)
+
     def until(self, epochs: Epochs, seen: tuple[Vec3, Vec3], last: Any) -> dict[str, Any]:
         """The solution by the fixes up to the epoch ``last``. Pure."""
         used = epochs.rows.valid & (jnp.arange(len(epochs)) <= last)
@@ -112,22 +141,20 @@ class RobustMap(eqx.Module):
         variance = stated**2
         if self.noise != "stated":
             variance = jnp.maximum(variance, scale**2)
-        calibration = jnp.zeros(4 if self.calibrate else 0)
+        calibration = jnp.zeros(4 * self._mounting + self._latency)
 
         def solved(state: Any) -> Any:
-            guess, calibration, weight, variance = state
+            guess, calibration, weight, variance, times = state
             path = navigated(epochs, guess).until(last)
-            aid = epochs.rows.velocity
-            if self.calibrate:
-                turned = aid + Vec3.of(calibration[1:]).cross(aid)
-                aid = turned * (1.0 / (1.0 + calibration[0]))
-            measured = fixes(path, aid, used, self.aid, self.calibrate)
-            each = variance / jnp.where(used, jnp.maximum(weight, _LEAST), 1.0)
+            mounting = calibration[:4] if self._mounting else None
+            latency = calibration[-1] if self._latency else None
+            measured = fixes(path, epochs.rows.velocity, used, self.aid, mounting, latency)
+            each = variance * times / jnp.where(used, jnp.maximum(weight, _LEAST), 1.0)
             prior = self._prior(guess, calibration, stated)
             return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
 
         def step(state: Any, _: Any) -> Any:
-            guess, calibration, weight, variance = state
+            guess, calibration, weight, variance, times = state
             path, measured, each, prior, found = solved(state)
             error, noise = smoothed(path, measured, each, prior, found)
             good, weight = self._weighed(noise, variance, used)
@@ -137,10 +164,13 @@ class RobustMap(eqx.Module):
                 variance = (_BELIEF * stated**2 + squares) / (_BELIEF + count)
                 if self.noise == "at_least":
                     variance = jnp.maximum(variance, stated**2)
-            return (guess.moved(error), calibration + error[12:], weight, variance), noise
+                times = self._persistence(noise, good, variance)
+            return (guess.moved(error), calibration + error[12:], weight, variance, times), noise
 
-        state, noise = jax.lax.scan(step, (guess, calibration, weight, variance), None, length=self.iterations)
-        guess, calibration, weight, variance = state
+        state, noise = jax.lax.scan(
+            step, (guess, calibration, weight, variance, jnp.ones(())), None, length=self.iterations
+        )
+        guess, calibration, weight, variance, times = state
         path, _, _, _, found = solved(state)
         error, covariance = found.mean[0], found.covariance[0]
         at = jax.tree.map(lambda x: x[last], path)
@@ -149,13 +179,15 @@ class RobustMap(eqx.Module):
         tilt = turned.T @ covariance[TILT, TILT] @ turned
         return {
             "q_nb": (at.q_n0n.conjugate() * q_n0b).unit(),
-            "sd": jnp.sqrt(jnp.diagonal(tilt)),
+            "tilt": tilt,
             "gyro": guess.gyro.array + error[GYRO],
             "accel": guess.accel.array + error[ACCEL],
+            "calibration": calibration + error[12:],
             "covariance": covariance,
+            "likelihood": found.log_likelihood,
             "residual": noise[-1][last],
             "weight": jnp.where(used[last], weight[last], 0.0),
-            "aid_sd": jnp.sqrt(variance),
+            "aid_sd": jnp.sqrt(variance * times),
             "fixes": jnp.sum(used),
             "speed": at.velocity.array + error[SPEED],
         }
@@ -167,9 +199,9 @@ def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
     rows = np.unique([*range(0, count, every), count - 1])
     alpha, beta = views(epochs)
     found = jax.lax.map(lambda last: method.until(epochs, (alpha, beta), last), jnp.asarray(rows))
-    finite = jnp.all(jnp.isfinite(found["q_nb"].array), axis=1) & jnp.all(jnp.isfinite(found["sd"]), axis=1)
+    finite = jnp.all(jnp.isfinite(found["q_nb"].array), axis=1) & jnp.all(jnp.isfinite(found["tilt"]), axis=(1, 2))
     defined = finite & (found["fixes"] >= 3)
-    observable = defined & (found["sd"][:, 2] < _BLIND)
+    observable = defined & (found["tilt"][:, 2, 2] < _BLIND**2)
     bits = (
         (~defined, Status.UNDEFINED),
         (~observable, Status.HEADING_UNOBSERVABLE),
@@ -191,7 +223,10 @@ def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
         weight=found["weight"],
         alpha=alpha.array[rows],
         beta=beta.array[rows],
-        sd=masked(found["sd"]),
+        covariance=masked(found["tilt"]),
         status=status,
         aid_sd=found["aid_sd"],
+        filter=FilterRecord(
+            *(masked(found[x]) for x in ("gyro", "accel", "covariance")), log_likelihood=found["likelihood"]
+        ),
     )

@@ -55,15 +55,33 @@ class Filtered(eqx.Module):
         covariance: (K, n, n) of them.
         innovation: (K, 3) of each axis after those before it, over its variance.
         gain: (K, 3, n).
+        log_likelihood: of all measurements, but for a constant.
     """
 
     mean: Float[Array, "K n"]
     covariance: Float[Array, "K n n"]
     innovation: Float[Array, "K 3"]
     gain: Float[Array, "K 3 n"]
+    log_likelihood: Float[Array, ""]
 
 
-def fixes(path: Path, velocity: Vec3, used: Bool[Array, " K"], aid: str, calibrated: bool = False) -> Measured:
+def _change(path: Path, aid: str) -> Vec3:
+    """How fast a velocity changes, in the frame of its aid, turned into n0: over the interval before each epoch."""
+    before, turned = jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), (path.velocity, path.q_n0b))
+    if aid == "body":
+        before = (path.q_n0b * turned.conjugate()).rotate(before)
+    moved = path.dt > 0
+    return (path.velocity - before) * jnp.where(moved, 1.0 / jnp.where(moved, path.dt, 1.0), 0.0)
+
+
+def fixes(
+    path: Path,
+    velocity: Vec3,
+    used: Bool[Array, " K"],
+    aid: str,
+    mounting: Float[Array, " 4"] | None = None,
+    latency: Any = None,
+) -> Measured:
     """The velocities of an aid along a path.
 
     Args:
@@ -71,10 +89,13 @@ def fixes(path: Path, velocity: Vec3, used: Bool[Array, " K"], aid: str, calibra
         velocity: (K,) of the aid, m/s, in b or n; any where the vehicle stands.
         used: (K,) where there is one to use; elsewhere nothing is measured.
         aid: "body", "nav" or "static" (the velocity is zero).
-        calibrated: four more unknowns, of a body aid: its scale factor and its misalignment (rad, b), with
+        mounting: scale factor and misalignment (rad, b) of a body aid so far, four more unknowns:
             ``v_measured = (1 + scale) (v - misalignment x v)``.
+        latency: s, of the aid so far, one more unknown: it measures the velocity of so long ago.
     """
     v = path.velocity
+    if mounting is not None:
+        velocity = (velocity + Vec3.of(mounting[1:]).cross(velocity)) * (1.0 / (1.0 + mounting[0]))
     unit = jnp.broadcast_to(jnp.eye(3), (*v.x.shape, 3, 3))
     none = jnp.zeros_like(unit)
     tilt = none
@@ -86,8 +107,12 @@ def fixes(path: Path, velocity: Vec3, used: Bool[Array, " K"], aid: str, calibra
     else:
         seen = v * 0.0
     blocks = [tilt, unit, none, none]
-    if calibrated:
+    if mounting is not None:
         blocks += [v.array[..., None], tilt @ path.q_n0b.matrix.array]
+    if latency is not None:
+        change = _change(path, aid)
+        seen = seen + change * latency
+        blocks.append(-change.array[..., None])
     there = used[:, None]
     slope = jnp.concatenate(blocks, axis=-1)
     return Measured(jnp.where(there, (seen - v).array, 0.0), jnp.where(there[..., None], slope, 0.0))
@@ -120,7 +145,7 @@ def filtered(
     size = prior.mean.shape[0]
 
     def step(carry: Any, row: Any) -> Any:
-        x, p = carry
+        x, p, likelihood = carry
         motion, gap, slope, r = row
         x, p = forth(motion, x), forth(motion, forth(motion, p).T)
         p = p + jnp.pad(_noise(motion, imu), (0, size - 6))
@@ -131,15 +156,15 @@ def filtered(
             s = jnp.sum(g * h) + r
             surprise, gain = (gap[i] - jnp.sum(h * x)) / s, g / s
             x, p = x + g * surprise, p - g[:, None] * gain
+            likelihood = likelihood - 0.5 * (surprise * surprise * s + jnp.where(jnp.any(h != 0), jnp.log(s), 0.0))
             surprises.append(surprise)
             gains.append(gain)
-        carry = (x, p)
-        return carry, (carry if keep else None, jnp.stack(surprises), jnp.stack(gains))
+        return (x, p, likelihood), ((x, p) if keep else None, jnp.stack(surprises), jnp.stack(gains))
 
-    start = (prior.mean, jnp.diag(prior.variance))
+    start = (prior.mean, jnp.diag(prior.variance), jnp.zeros(()))
     last, (kept, innovation, gain) = jax.lax.scan(step, start, (path, measured.gap, measured.slope, variance))
-    mean, covariance = kept if keep else jax.tree.map(lambda x: x[None], last)
-    return Filtered(mean, covariance, innovation, gain)
+    mean, covariance = kept if keep else jax.tree.map(lambda x: x[None], last[:2])
+    return Filtered(mean, covariance, innovation, gain, last[2])
 
 
 def smoothed(

@@ -10,15 +10,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.batch.model import Guess
 from jaxalign.epochs import Epochs
-from jaxalign.estimate.davenport import davenport
+from jaxalign.estimate import CentredSums, Held, reweighted
 from jaxalign.observe.frames import Place, gravity_impulse, turn
-from jaxalign.vector import Mat3, Quat, Vec3
+from jaxalign.vector import Quat, Vec3
 
 __all__ = ["robust_start", "views"]
 
-_ROUNDS = 12
-_LAST = 4  # of them with a weight that falls to zero, those before with that of least absolute values
-_MEDIAN = 1.538  # of the length of three unit normal numbers
 _CUTOFF = 6.0  # Tukey's
 
 
@@ -53,11 +50,6 @@ def views(epochs: Epochs) -> tuple[Vec3, Vec3]:
     return jax.lax.scan(step, (none, none, zero, zero, zero, zero), epochs.rows)[1]
 
 
-def _median(x: Float[Array, " K"], used: Bool[Array, " K"]) -> Any:
-    ordered = jnp.sort(jnp.where(used, x, jnp.inf))
-    return ordered[jnp.maximum((jnp.sum(used) - 1) // 2, 0)]
-
-
 def robust_start(
     alpha: Vec3, beta: Vec3, used: Bool[Array, " K"], sd: Any, aid: str
 ) -> tuple[Guess, Float[Array, " K"], Float[Array, ""]]:
@@ -73,29 +65,7 @@ def robust_start(
     Returns:
         The guess, the weights (0..1) and the standard deviation (m/s per axis) of what is left.
     """
-
-    def fitted(weight: Any) -> tuple[Quat, Vec3, Any, Any]:
-        share = weight / jnp.maximum(jnp.sum(weight), 1e-12)
-
-        def mean(v: Vec3) -> Vec3:
-            return jax.tree.map(lambda x: jnp.sum(share * x), v)
-
-        a, b = mean(alpha), mean(beta)
-        da, db = alpha - a, beta - b
-        columns = (db.x, db.y, db.z)
-        profile = Mat3(*(Vec3(*(jnp.sum(share * x * y) for y in columns)) for x in (da.x, da.y, da.z)))
-        attitude = davenport(profile).vector
-        length = (da - attitude.rotate(db)).norm()
-        scale = jnp.maximum(_median(length, used) / _MEDIAN, sd)
-        return attitude, attitude.rotate(b) - a, length, scale
-
-    def step(weight: Any, index: Any) -> Any:
-        _, _, length, scale = fitted(weight)
-        near = jnp.minimum(1.0, scale / jnp.maximum(length, scale))
-        falling = jnp.maximum(0.0, 1.0 - (length / (_CUTOFF * scale)) ** 2) ** 2
-        return jnp.where(used, jnp.where(index < _ROUNDS - _LAST, near, falling), 0.0), None
-
-    weight, _ = jax.lax.scan(step, used * 1.0, jnp.arange(_ROUNDS))
-    attitude, rest, _, scale = fitted(weight)
-    velocity = -rest if aid == "nav" else rest
-    return Guess.of(attitude, velocity), weight, scale
+    held = Held(alpha, beta, None, Vec3.zero(), used)
+    found, sums, weight, scale = reweighted(CentredSums.zero(False), held, Quat.identity(), False, sd, _CUTOFF)
+    offset = sums.offset(found.attitude, Vec3.zero())
+    return Guess.of(found.attitude, offset if aid == "nav" else -offset), weight, scale

@@ -51,6 +51,18 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--every", type=int, default=1, metavar="N", help="read out the attitude every N epochs (default 1)"
     )
+    command.add_argument(
+        "--imu",
+        metavar="GRADE",
+        help="of the inertial unit: navigation, tactical or mems, or a TOML file of its figures (gyro_bias_deg_h, "
+        "gyro_walk_deg_sqrt_h, accel_bias_ug, accel_noise_ug_sqrt_hz); with it, any method states standard deviations",
+    )
+    command.add_argument(
+        "--aligned",
+        type=float,
+        metavar="DEG",
+        help="say from when on the heading's standard deviation is below DEG (with --imu, or a method that knows it)",
+    )
     command.add_argument("--output", metavar="OUT.npz", help="write the attitudes and all that goes with them")
     command.add_argument("--plot", metavar="OUT.png", help="write a picture: .png, .pdf or .svg (needs matplotlib)")
     command.set_defaults(run=_run)
@@ -61,10 +73,12 @@ def _run(options: argparse.Namespace) -> int:
 
     import jaxalign
     from jaxalign.aligner import align
+    from jaxalign.batch import imu_figures
     from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
     from jaxalign.io.files import replacing
     from jaxalign.method_file import method_entries
+    from jaxalign.uncertainty import assess
 
     log = read_log(options)
     name, method = _method(options, log)
@@ -81,7 +95,18 @@ def _run(options: argparse.Namespace) -> int:
                 f"{name} takes the vehicle as standing, but the aid of {log.name} says {speed:.1f} m/s: use a method "
                 f"that takes a {log.aid!r} aid (oba, centred_oba), or cut out a standing part with --start and --end"
             )
-    solution = jax.block_until_ready(align(method, log, options.every, options.aid_sd))
+    if options.imu is None:
+        found = align(method, log, options.every, options.aid_sd)
+    else:
+        found = assess(method, log, imu_figures(options.imu), options.every, options.aid_sd)
+    solution = jax.block_until_ready(found)
+    if options.aligned is not None:
+        if solution.covariance is None:
+            raise UserError(
+                f"--aligned: {name} knows no standard deviations by itself: say what unit it is with --imu navigation, "
+                "tactical or mems"
+            )
+        solution.aligned(options.aligned)  # refuses a threshold that is none
 
     # Files first: a reader of the printed lines that leaves early (head) must not cost the results.
     estimated = options.aid_sd is None and (log.aid_sd is None or log.aid != method.aid)
@@ -90,6 +115,7 @@ def _run(options: argparse.Namespace) -> int:
         recipe = {
             **method_entries(name, method),
             "every": options.every,
+            "imu": options.imu,
             "aid_sd": float(solution.aid_sd[-1]),
             "aid_sd_from": "data" if estimated else "user" if options.aid_sd is not None else "log",
             "log": log.name,
@@ -105,7 +131,8 @@ def _run(options: argparse.Namespace) -> int:
         with replacing(options.plot) as stream:
             figure.savefig(stream, format=Path(options.plot).suffix[1:].lower())
         written.append(options.plot)
-    for line in (*summary(log, name, method, solution, estimated), *(f"wrote {path}" for path in written)):
+    lines = summary(log, name, method, solution, estimated, options.aligned)
+    for line in (*lines, *(f"wrote {path}" for path in written)):
         print(line)
     return 0
 

@@ -128,25 +128,31 @@ def _described(prefilter: AbstractPrefilter) -> str:
     return f"{type(prefilter).__name__} ({values})"
 
 
+def _sure(solution: Solution, t0: float, aligned: float | None) -> list[str]:
+    """Standard deviations at the end, and since when they are good enough."""
+    sd = solution.euler_sd_deg
+    assert sd is not None
+    hint = bool(np.asarray(solution.status)[-1] & Status.INDICATIVE)
+    note = " (indicative only: a prefilter colours the noise)" if hint else ""
+    pitch, roll, heading = sd[-1]
+    out = [f"standard deviations at the end: pitch {pitch:.4f}, roll {roll:.4f}, heading {heading:.3f} deg{note}"]
+    if aligned is not None:
+        enough = solution.aligned(aligned)
+        first = float(np.asarray(solution.time)[enough.argmax()]) + t0
+        out.append(
+            f"ALIGNED from {first:.1f} s on: heading better than {aligned:g} deg"
+            if enough[-1]
+            else f"NOT ALIGNED: the heading's standard deviation is not below {aligned:g} deg"
+        )
+    return out
+
+
 def _belief(sd: Any, told: FilterRecord, filtered: bool) -> list[str]:
     """What the filter says of itself."""
-    from jaxalign.fine import nis
-
     east, north, up = np.rad2deg(np.asarray(sd)[-1])
     gyro, accel = np.asarray(told.gyro_bias)[-1], np.asarray(told.accel_bias)[-1]
     out = [f"the filter's own standard deviations: east {east:.4f}, north {north:.4f}, heading {up:.4f} deg"]
-    used = np.asarray(told.updated) > 0
-    if used.sum() >= _FEW:
-        size = told.innovation.shape[1]
-        ratio = float(np.mean(nis(told.innovation[used], told.innovation_covariance[used]))) / size
-        judged = ""
-        if filtered:
-            judged = ": behind a prefilter that is no test, and the standard deviations are not honest"
-        elif ratio > 2:
-            judged = ": its noise is stated too small (filter.velocity_sd?): do not trust its standard deviations"
-        elif ratio < 0.5:
-            judged = ": its noise is stated too large (filter.velocity_sd?): its standard deviations are cautious"
-        out.append(f"  its innovations squared are {ratio:.2g} times what it expects{judged}")
+    out += _surprise(told, filtered)
     first = np.rad2deg(np.asarray(sd)[1, 2]) if len(sd) > 1 else np.inf
     if up > 0.5 * first:
         out.append(
@@ -159,11 +165,34 @@ def _belief(sd: Any, told: FilterRecord, filtered: bool) -> list[str]:
     return out
 
 
+def _surprise(told: FilterRecord, filtered: bool) -> list[str]:
+    """How large the innovations of a filter are against what it expects."""
+    from jaxalign.fine import nis
+
+    if told.innovation is None or told.innovation_covariance is None:
+        return []
+    used = np.asarray(told.updated) > 0
+    if used.sum() < _FEW:
+        return []
+    size = told.innovation.shape[1]
+    ratio = float(np.mean(nis(told.innovation[used], told.innovation_covariance[used]))) / size
+    judged = ""
+    if filtered:
+        judged = ": behind a prefilter that is no test, and the standard deviations are not honest"
+    elif ratio > 2:
+        judged = ": its noise is stated too small (filter.velocity_sd?): do not trust its standard deviations"
+    elif ratio < 0.5:
+        judged = ": its noise is stated too large (filter.velocity_sd?): its standard deviations are cautious"
+    return [f"  its innovations squared are {ratio:.2g} times what it expects{judged}"]
+
+
 def _numbers(values: np.ndarray) -> str:
     return ", ".join(f"{x:.3g}" for x in values)
 
 
-def summary(log: Log, name: str, method: Any, solution: Solution, estimated: bool) -> list[str]:
+def summary(
+    log: Log, name: str, method: Any, solution: Solution, estimated: bool, aligned: float | None = None
+) -> list[str]:
     """All of it.
 
     Args:
@@ -172,6 +201,7 @@ def summary(log: Log, name: str, method: Any, solution: Solution, estimated: boo
         method: itself.
         solution: what it found.
         estimated: whether the noise was estimated from the log.
+        aligned: threshold of the heading's standard deviation, deg.
     """
     interval = (_slot(method, "interval_samples") or log.aid_every) * log.dt
     kind = "white noise of the aid"
@@ -194,6 +224,8 @@ def summary(log: Log, name: str, method: Any, solution: Solution, estimated: boo
     ]
     if not solution.defined[-1]:
         return out
+    if solution.covariance is not None:
+        out += _sure(solution, log.t0, aligned)
     if error is not None:
         e, n, u = error[-1]
         out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")

@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxalign.estimate.base import Readout
 from jaxalign.estimate.davenport import davenport
 from jaxalign.observe import Context, Pair
-from jaxalign.vector import Mat3, Vec3, where
+from jaxalign.vector import Mat3, Quat, Vec3, where
 
-__all__ = ["Profile", "inverse_lengths"]
+__all__ = ["CentredSums", "Profile", "inverse_lengths"]
 
 # A read-out with a closed Coriolis term needs the attitude that it seeks. Starting from the last attitude, each pass
 # shrinks the error by about 2 v / (g t cos(lat)): two passes from scratch leave 3e-5 deg at 60 s. Where the last
@@ -36,8 +38,8 @@ class Profile(eqx.Module):
         """The sums times a number."""
         return Profile(self.fixed * factor, None if self.moment is None else self.moment * factor, self.w_ie)
 
-    def plus(self, pair: Pair, weight: Any) -> Profile:
-        """With one more pair."""
+    def plus(self, pair: Any, weight: Any) -> Profile:
+        """With one more pair: anything with alpha, open_beta, moment and w_ie."""
         weighted = pair.alpha * weight
         moment = None if self.moment is None else self.moment + weighted.outer(pair.moment)
         return Profile(self.fixed + weighted.outer(pair.open_beta), moment, pair.w_ie)
@@ -52,6 +54,57 @@ class Profile(eqx.Module):
             found = _readout(self.fixed + self.moment.map_rows(w_ie_b0.cross))
             attitude, known = found.attitude, found.defined
         return found
+
+
+class CentredSums(eqx.Module):
+    """Sums from which a common offset of the pairs, the first velocity, can be taken out."""
+
+    profile: Profile
+    alpha: Vec3
+    beta: Vec3
+    moment: Vec3 | None
+    weight: Float[Array, "*pairs"]
+
+    @classmethod
+    def zero(cls, coupled: bool) -> CentredSums:
+        """Empty sums."""
+        zero = Vec3.zero()
+        return cls(Profile.zero(coupled), zero, zero, zero if coupled else None, zero.x)
+
+    def plus(self, pair: Any, weight: Any) -> CentredSums:
+        """With one more pair: anything with alpha, open_beta, moment and w_ie."""
+        return CentredSums(
+            self.profile.plus(pair, weight),
+            self.alpha + pair.alpha * weight,
+            self.beta + pair.open_beta * weight,
+            None if self.moment is None else self.moment + pair.moment * weight,
+            self.weight + weight,
+        )
+
+    def plus_all(self, pairs: Any, weights: Any) -> CentredSums:
+        """With many: the leaves of the pairs and the weights have a first axis, w_ie has none."""
+        each = CentredSums.zero(self.moment is not None).plus(pairs, weights)
+        total = jax.tree.map(lambda a, b: a + jnp.sum(b, axis=0) if jnp.ndim(b) else b, self, each)
+        return eqx.tree_at(lambda sums: sums.profile.w_ie, total, pairs.w_ie)
+
+    def mean(self, of: Vec3) -> Vec3:
+        """A sum over the weight; zero where there is none."""
+        positive = self.weight > 0
+        return of * jnp.where(positive, 1.0 / jnp.where(positive, self.weight, 1.0), 0.0)
+
+    @property
+    def centred(self) -> Profile:
+        """The profile of the pairs less their means."""
+        mean, profile = self.mean(self.alpha), self.profile
+        fixed = profile.fixed - mean.outer(self.beta)
+        if profile.moment is None or self.moment is None:
+            return Profile(fixed, None, profile.w_ie)
+        return Profile(fixed, profile.moment - mean.outer(self.moment), profile.w_ie)
+
+    def offset(self, attitude: Quat, w_ie_b0: Vec3) -> Vec3:
+        """The mean of ``alpha - C beta``."""
+        beta = self.beta if self.moment is None else self.beta + w_ie_b0.cross(self.moment)
+        return self.mean(self.alpha) - attitude.rotate(self.mean(beta))
 
 
 def _readout(profile: Mat3) -> Readout:

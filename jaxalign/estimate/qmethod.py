@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError
 from jaxalign.estimate.base import AbstractEstimate, Readout
-from jaxalign.estimate.profile import Profile, inverse_lengths
+from jaxalign.estimate.profile import CentredSums, Profile, inverse_lengths
 from jaxalign.observe import AbstractObserve, Context, Pair
-from jaxalign.vector import Vec3
 
 __all__ = ["CentredWahba", "QMethod"]
 
@@ -44,12 +41,10 @@ class QMethod(AbstractEstimate):
         return state.read(context)
 
 
-class _Centred(eqx.Module):
-    profile: Profile
-    alpha: Vec3
-    beta: Vec3
-    moment: Vec3 | None
-    weight: Float[Array, ""]
+def check_whole(observe: AbstractObserve) -> None:
+    """Refuse a sliding window: it has no one first velocity."""
+    if getattr(observe, "window", 0.0):
+        raise UserError("observe.window means nothing where the first velocity is free (centred_oba): leave it at 0")
 
 
 class CentredWahba(AbstractEstimate):
@@ -64,30 +59,16 @@ class CentredWahba(AbstractEstimate):
 
     def check(self, observe: AbstractObserve) -> None:
         """A sliding window has no one first velocity."""
-        if getattr(observe, "window", 0.0):
-            raise UserError(
-                "observe.window means nothing where the first velocity is free (centred_oba): leave it at 0"
-            )
+        check_whole(observe)
 
     def init(self, coupled: bool) -> Any:
         """Empty sums."""
-        zero = Vec3.zero()
-        return _Centred(Profile.zero(coupled), zero, zero, zero if coupled else None, zero.x)
+        return CentredSums.zero(coupled)
 
     def update(self, state: Any, context: Context, pair: Pair, weight: Any) -> Any:
         """Add one pair."""
-        return _Centred(
-            state.profile.plus(pair, weight),
-            state.alpha + pair.alpha * weight,
-            state.beta + pair.open_beta * weight,
-            None if state.moment is None else state.moment + pair.moment * weight,
-            state.weight + weight,
-        )
+        return state.plus(pair, weight)
 
     def readout(self, state: Any, context: Context) -> Readout:
         """Largest eigenvector of the centred K."""
-        positive = state.weight > 0
-        mean = state.alpha * jnp.where(positive, 1.0 / jnp.where(positive, state.weight, 1.0), 0.0)
-        profile = state.profile
-        moment = None if state.moment is None else profile.moment - mean.outer(state.moment)
-        return Profile(profile.fixed - mean.outer(state.beta), moment, profile.w_ie).read(context)
+        return state.centred.read(context)

@@ -22,7 +22,7 @@ from jaxalign.prefilter.base import optional_prefilter
 from jaxalign.record_method import AbstractRecordMethod, Found
 from jaxalign.solution import FilterRecord
 from jaxalign.two_vector import DualVector
-from jaxalign.vector import Quat, root
+from jaxalign.vector import Quat
 
 __all__ = ["Fine"]
 
@@ -37,7 +37,7 @@ class Fine(AbstractRecordMethod):
     what the turning of gravity over the record and the noise of the force (``Epochs.aid_sd``) leave open, some times
     over (two windows are not all the data, and they are used twice), so that on a short record the heading has the
     standard deviation that it deserves. The attitude is taken back to the start of the record by the gyros, so that the
-    filter uses all of it. ``Solution.sd`` and ``Solution.filter`` hold what the filter believes.
+    filter uses all of it. ``Solution.covariance`` and ``Solution.filter`` hold what the filter believes.
 
     Attributes:
         coarse: any method for a standing vehicle.
@@ -110,7 +110,6 @@ class Fine(AbstractRecordMethod):
         at = record.at(rows)
         alpha, beta = at.alpha - before.alpha, at.beta - before.beta
         q_n0b0 = at.q_n0n * row.q_nb * at.q_b0b.conjugate()
-        variances = jnp.diagonal(row.covariance, axis1=1, axis2=2)[:, PSI]
         told = FilterRecord(
             row.gyro_bias.array,
             row.accel_bias.array,
@@ -119,6 +118,5 @@ class Fine(AbstractRecordMethod):
             row.innovation_covariance,
             row.updated.astype(jnp.float64),
         )
-        sd = root(variances)
         defined = known & (jnp.asarray(rows) > 0)
-        return Found(row.q_nb, defined, alpha, beta, alpha - q_n0b0.rotate(beta), sd, told)
+        return Found(row.q_nb, defined, alpha, beta, alpha - q_n0b0.rotate(beta), row.covariance[:, PSI, PSI], told)

@@ -1,0 +1,172 @@
+"""How sure an attitude is: the ensemble against the errors of many runs, and what is said of it."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxalign import align, assess, imu_errors, rotation
+from jaxalign.batch import ImuErrors, imu_figures
+from jaxalign.bounds import bound
+from jaxalign.cli.main import main
+from jaxalign.errors import UserError
+from jaxalign.io.npz import write_npz
+from jaxalign.methods import build
+from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
+from jaxalign.simulate.faults import FixedOutliers
+from jaxalign.solution import Status
+from jaxalign.uncertainty import ensemble_covariance
+
+
+def drawn(made, key):
+    """With biases from a normal distribution."""
+    a, b = (jax.random.normal(k, (3,)) for k in jax.random.split(key))
+    return eqx.tree_at(lambda s: (s.gyro.bias, s.accel.bias), made, (made.gyro.bias * a, made.accel.bias * b))
+
+
+def errors_and_deviations(made, name, runs, every, draws=64):
+    """(runs, rows, 3) both, rad, n; rows after the first."""
+    exact, imu, method = truth(made), ImuErrors.of(made), build(name, made.aid)
+    intervals = intervals_of(exact, made.aid_every)
+
+    @jax.jit
+    def solve(keys):
+        def one(key):
+            a, b, c = jax.random.split(key, 3)
+            epochs = measure_epochs(intervals, drawn(made, a), b)
+            found = method.solve(epochs, every)
+            return found.q_nb, ensemble_covariance(method, epochs, imu, found, every, draws, c)
+
+        return jax.lax.map(one, keys)
+
+    q, covariance = solve(jax.random.split(jax.random.key(11), runs))
+    rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])
+    reference = jnp.broadcast_to(rotation.quat_from_dcm(exact.C_nb[rows]), q.shape)
+    phi = rotation.attitude_error(q, reference)
+    return np.asarray(phi)[:, 1:], np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))[:, 1:], rows[1:], exact
+
+
+def test_centred_oba_knows_its_errors():
+    """Clean: coverage, and the deviation of the heading is the bound (64 draws: 9 %)."""
+    made = scenario("dvl-sturn")
+    phi, sd, rows, exact = errors_and_deviations(made, "centred_oba", 80, 150)
+    covered = (np.abs(phi) < 1.96 * sd).mean(axis=(0, 1))
+    assert (covered > 0.88).all(), covered
+    assert (covered < 0.995).all(), covered
+    limit = np.deg2rad(np.asarray(bound(made, exact).phi_deg)[rows, 2])
+    np.testing.assert_allclose(np.median(sd[:, :, 2], axis=0), limit, rtol=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["oba", "roba", "revising_oba", "centred_oba"])
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_coverage(name, share):
+    """95 % intervals at 200 and 300 s, a tenth of outliers or none (the first fix excepted)."""
+    made = scenario("dvl-sturn")
+    if share:
+        made = dataclasses.replace(made, faults=(FixedOutliers(share, 300.0),))
+    phi, sd, _, _ = errors_and_deviations(made, name, 200, 100, draws=128)
+    covered = (np.abs(phi) < 1.96 * sd)[:, 1:].mean(axis=(0, 1))
+    print(name, share, np.round(covered, 3))
+    assert (covered > 0.88).all(), covered
+    assert (covered <= 1.0).all(), covered
+
+
+@pytest.fixture(scope="module")
+def log():
+    return simulate("dvl-sturn", seed=3, duration=60.0)
+
+
+def test_assess_is_align_with_a_covariance(log):
+    method, imu = build("oba", "body"), imu_errors("navigation")
+    plain, found = align(method, log, every=10), assess(method, log, imu, every=10, draws=32)
+    np.testing.assert_array_equal(plain.q_nb, found.q_nb)
+    assert plain.sd is None
+    assert plain.euler_sd_deg is None
+    again = assess(method, log, imu, every=10, draws=20)
+    np.testing.assert_array_equal(found.covariance, again.covariance)
+    assert np.linalg.eigvalsh(found.covariance[1:]).min() > 0
+    coarser = assess(method, log, imu_errors("mems"), every=10, draws=32)
+    assert (coarser.sd[-1, :2] > 10 * found.sd[-1, :2]).all()
+    assert coarser.sd[-1, 2] > 2 * found.sd[-1, 2]
+    # Nearly level: the heading's deviation is that of the up axis, pitch and roll share the horizontal ones.
+    euler = found.euler_sd_deg[-1]
+    np.testing.assert_allclose(euler[2], np.rad2deg(found.sd[-1, 2]), rtol=1e-3)
+    np.testing.assert_allclose(np.sum(euler[:2] ** 2), np.sum(np.rad2deg(found.sd[-1, :2]) ** 2), rtol=1e-2)
+
+
+def test_aligned_from_the_last_time_below(log):
+    found = assess(build("oba", "body"), log, imu_errors("navigation"), every=10, draws=32)
+    heading = np.array([np.nan, 5.0, 0.5, 2.0, 0.9, 0.8, 0.7])
+    variance = np.nan_to_num(np.deg2rad(heading), nan=0.0) ** 2
+    level = dataclasses.replace(
+        found,
+        q_nb=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (7, 1)),
+        covariance=jnp.zeros((7, 3, 3)).at[:, 2, 2].set(variance),
+        defined=jnp.arange(7) > 0,
+    )
+    np.testing.assert_array_equal(level.aligned(1.0), [False, False, False, False, True, True, True])
+    assert not level.aligned(0.1).any()
+    with pytest.raises(UserError, match="cannot fall below"):
+        level.aligned(0.0)
+    with pytest.raises(UserError, match="assess"):
+        align(build("oba", "body"), log, every=10).aligned(1.0)
+
+
+def test_behind_a_prefilter_it_is_indicative():
+    log = simulate("sway", seed=1, duration=30.0)
+    found = assess(build("gravity_q", "static", prefilter="fir"), log, imu_errors("tactical"), every=30, draws=32)
+    assert (np.asarray(found.status) & Status.INDICATIVE).all()
+    assert np.isfinite(found.covariance).all()
+
+
+def test_bad_input(log):
+    method = build("oba", "body")
+    with pytest.raises(UserError, match="imu_errors"):
+        assess(method, log, "tactical")
+    with pytest.raises(UserError, match="draws"):
+        assess(method, log, imu_errors("tactical"), draws=0)
+
+
+def test_figures_from_a_file(tmp_path):
+    path = tmp_path / "unit.toml"
+    good = "gyro_bias_deg_h = 2\ngyro_walk_deg_sqrt_h = 0.1\naccel_bias_ug = 500\naccel_noise_ug_sqrt_hz = 80\n"
+    path.write_text(good)
+    assert float(imu_figures(str(path)).gyro_bias_deg_h) == 2.0
+    assert float(imu_figures("mems").gyro_bias_deg_h) == 300.0
+    for text, message in (
+        ("gyro_bias_deg_h = 2\n", "missing"),
+        (good + "x = 1\n", "no parameter"),
+        (good.replace("= 2", "= -2"), "outside its bounds"),
+        ("gyro", "TOML"),
+    ):
+        path.write_text(text)
+        with pytest.raises(UserError, match=message):
+            imu_figures(str(path))
+    with pytest.raises(UserError, match="cannot be read"):
+        imu_figures(str(tmp_path / "none.toml"))
+
+
+def test_command(tmp_path, log, capsys):
+    path = str(tmp_path / "log.npz")
+    write_npz(log, path)
+    out = str(tmp_path / "out.npz")
+    common = ["align", path, "--method", "oba", "--every", "10"]
+    assert main([*common, "--imu", "navigation", "--aligned", "90", "--output", out]) == 0
+    text = capsys.readouterr().out
+    assert "standard deviations at the end: pitch" in text
+    assert "ALIGNED from" in text
+    with np.load(out) as written:
+        assert written["euler_sd_deg"].shape == (7, 3)
+    assert main([*common, "--imu", "navigation", "--aligned", "0.001"]) == 0
+    assert "NOT ALIGNED" in capsys.readouterr().out
+    for flags, message in (
+        (["--aligned", "1"], "--imu navigation"),
+        (["--imu", "tactica"], "did you mean tactical"),
+        (["--imu", "navigation", "--aligned", "-1"], "cannot fall below"),
+    ):
+        assert main([*common, *flags]) == 2
+        assert message in capsys.readouterr().err
