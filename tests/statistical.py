@@ -1,7 +1,11 @@
 """Bands in which a sample must lie."""
 
+import dataclasses
+
 import numpy as np
 from scipy import stats
+
+from jaxalign.simulate.faults import FixedOutliers
 
 
 def assert_variance(x, sd):
@@ -15,3 +19,10 @@ def assert_rate(hits, trials, probability):
     """The number of hits lies in the central 99.99 % of the binomial distribution."""
     low, high = stats.binom.ppf([5e-5, 1 - 5e-5], trials, probability)
     assert low <= hits <= high
+
+
+def outlying(made, share):
+    """A scenario with a share of its fixes 300 (Doppler) or 200 (GNSS) times too noisy, the first like the others."""
+    factor = 300.0 if made.aid == "body" else 200.0
+    faults = (FixedOutliers(share, factor, False, "random"),) if share else ()
+    return dataclasses.replace(made, faults=faults)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from frozen import case
 from frozen import epochs as frozen_epochs
+from statistical import outlying
 
 from jaxalign import Quat, Vec3, align, epochs_from_log, parameters, read, rotation, with_parameters
 from jaxalign.batch import ImuErrors, RobustMap, imu_errors
@@ -18,7 +19,6 @@ from jaxalign.bounds import bound
 from jaxalign.errors import UserError
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
-from jaxalign.simulate.faults import FixedOutliers
 
 
 @pytest.fixture(scope="module")
@@ -170,11 +170,6 @@ def errors(made, method, runs, every, seed=7):
     return np.asarray(phi), np.rad2deg(sd[:, 1:]), np.asarray(bound(made, exact).phi_deg)[rows]
 
 
-def with_outliers(made, share):
-    factor = 300.0 if made.name == "dvl-sturn" else 200.0
-    return dataclasses.replace(made, faults=(FixedOutliers(share, factor, False, "random"),) if share else ())
-
-
 def on_the_bound(made, runs, every, most):
     method = RobustMap(imu=ImuErrors.of(made), aid=made.aid)
     phi, sd, limit = errors(made, method, runs, every)
@@ -187,9 +182,9 @@ def on_the_bound(made, runs, every, most):
     return ratio
 
 
-def test_on_the_bound_with_outliers():
+def test_on_the_bound_outlying():
     """A tenth of the fixes 300 times too noisy, the first one too: 96 runs, so within 20 %."""
-    on_the_bound(with_outliers(scenario("dvl-sturn"), 0.1), 96, 150, 1.25)
+    on_the_bound(outlying(scenario("dvl-sturn"), 0.1), 96, 150, 1.25)
 
 
 @pytest.mark.slow
@@ -198,7 +193,7 @@ def test_on_the_bound_with_outliers():
     [("dvl-sturn", 0.0, 1.1), ("dvl-sturn", 0.1, 1.1), ("dvl-sturn", 0.3, 1.3), ("dvl-accturn", 0.0, 1.2)],
 )
 def test_on_the_bound(name, share, most):
-    made = with_outliers(scenario(name), share)
+    made = outlying(scenario(name), share)
     on_the_bound(made, 150 if name == "dvl-accturn" else 1000, made.epochs // 3, most)
 
 
@@ -211,7 +206,7 @@ def test_on_the_bound_with_gnss_and_a_bad_first_fix():
 @pytest.mark.parametrize("noise", [pytest.param("at_least", marks=pytest.mark.slow), "estimated"])
 def test_mis_stated_noise(noise):
     """Two thirds of the true noise are stated: the data say so, and the deviations hold."""
-    made = with_outliers(scenario("dvl-sturn"), 0.1)
+    made = outlying(scenario("dvl-sturn"), 0.1)
     exact = truth(made)
     epochs = measure_epochs(intervals_of(exact, made.aid_every), made, jax.random.key(1))
     epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, epochs.aid_sd / 1.5)
