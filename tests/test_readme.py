@@ -38,7 +38,7 @@ def test_python(tmp_path, monkeypatch, capsys):
 def test_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     commands = [line[2:] for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
-    assert len(commands) == 12
+    assert len(commands) == 13
     for command in commands:
         program, *arguments = command.split()
         assert program == "jaxalign"
