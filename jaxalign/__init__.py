@@ -18,6 +18,7 @@ of it a :mod:`jaxalign.prefilter` may smooth the force of a standing vehicle.
 
 from jaxalign import earth, io, methods, metrics, prefilter, rotation, simulate, study
 from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
+from jaxalign.auto import Choice, choose
 from jaxalign.batch import ImuErrors, RobustMap, imu_errors
 from jaxalign.bounds import Bound, bound
 from jaxalign.earth import Site
@@ -64,6 +65,7 @@ __all__ = [
     "BodyVelocity",
     "Bound",
     "CentredWahba",
+    "Choice",
     "Context",
     "DualVector",
     "Epoch",
@@ -102,6 +104,7 @@ __all__ = [
     "align",
     "assess",
     "bound",
+    "choose",
     "davenport",
     "earth",
     "epochs_from_arrays",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -31,7 +31,7 @@ from jaxalign.weight import AbstractWeight, Unit
 
 _FEEDBACK = 10
 
-__all__ = ["AlignState", "Aligner", "align", "estimate_aid_sd"]
+__all__ = ["AlignState", "Aligner", "align", "epochs_for", "estimate_aid_sd"]
 
 
 class AlignState(eqx.Module):
@@ -75,6 +75,8 @@ class Aligner(eqx.Module):
             steps know nothing of it. None: no filter.
     """
 
+    has_covariance: ClassVar[bool] = False
+    """Whether its solutions come with a covariance."""
     observe: AbstractObserve
     reconstruct: AbstractReconstruct = eqx.field(default_factory=Measured)
     weight: AbstractWeight = eqx.field(default_factory=Unit)
@@ -331,12 +333,20 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
         UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be
             estimated, or unfiltered epochs for a method with a prefilter.
     """
+    if isinstance(every, str) or every < 1 or every != int(every):
+        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
+    return method.solve(epochs_for(method, log, aid_sd), int(every))
+
+
+def epochs_for(method: Any, log: Log | Epochs, aid_sd: Any = None) -> Epochs:
+    """What a method aligns: the epochs of a log as it makes them, with the noise of the aid.
+
+    Arguments and errors as of :func:`align`.
+    """
     if not hasattr(method, "solve"):
         raise UserError(f"{method!r} is no method: build one by name with jaxalign.methods.build('oba', aid='body')")
     if not isinstance(log, Log | Epochs):
         raise UserError(f"{log!r} is neither a Log nor Epochs: read a file with jaxalign.read(path)")
-    if isinstance(every, str) or every < 1 or every != int(every):
-        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
     require_x64(method)
     if isinstance(log, Epochs):
         require_x64(log)
@@ -357,4 +367,4 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
         if not isinstance(aid_sd, Tracer) and not np.all(np.asarray(aid_sd) > 0):
             raise UserError(f"aid_sd = {aid_sd}: the standard deviation of the aid's noise must be above 0 m/s")
         epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(aid_sd, jnp.float64))
-    return method.solve(epochs, int(every))
+    return epochs

@@ -1,4 +1,4 @@
-"""The published methods by name: each a choice of slots.
+"""The methods by name: each a choice of slots, or one that takes the whole history.
 
 A recipe is a function from the kind of aid to a method; its options are those of the observation slot. Everything
 else is set by path, with :func:`jaxalign.with_parameters`.
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxalign.aligner import Aligner
+from jaxalign.batch import RobustMap
 from jaxalign.epochs import Aid
 from jaxalign.errors import UserError, close_names
 from jaxalign.estimate import (
@@ -50,6 +51,7 @@ __all__ = [
     "rls_q",
     "rls_quaternion_kf",
     "roba",
+    "robust_map",
     "triad",
     "velocity_q",
     "vo_tvk",
@@ -194,6 +196,12 @@ def centred_oba(aid: Aid = "body", **options: Any) -> Aligner:
 def revising_oba(aid: Aid = "body", **options: Any) -> Aligner:
     """The same with outliers: recursive, and the weights of the last 64 vectors are open to revision."""
     return Aligner(observer(aid, **options), estimate=RevisingWahba())
+
+
+@_recipe("body", "nav", "static", source="none of the papers: mixture likelihood, Gauss-Newton by filter and smoother")
+def robust_map(aid: Aid = "body", **options: Any) -> RobustMap:
+    """The most probable attitude by all fixes, outliers told from the rest, with biases and honest deviations."""
+    return RobustMap(aid=aid, **options)
 
 
 def build(

@@ -56,6 +56,8 @@ class AbstractRecordMethod(eqx.Module):
     interval_samples: eqx.AbstractVar[int | None]
     prefilter: eqx.AbstractVar[AbstractPrefilter | None]
     aid: ClassVar[str] = "static"
+    has_covariance: ClassVar[bool] = False
+    """Whether its solutions come with a covariance."""
 
     @abstractmethod
     def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:

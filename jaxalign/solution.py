@@ -15,7 +15,7 @@ from jaxalign.errors import UserError
 from jaxalign.rotation import dcm_from_quat, euler_covariance, euler_from_quat, heading_deg
 from jaxalign.vector import root
 
-__all__ = ["FilterRecord", "Solution", "Status"]
+__all__ = ["FilterRecord", "Solution", "Status", "check_threshold"]
 
 
 class Status(IntFlag):
@@ -42,6 +42,16 @@ _euler_covariance = jax.jit(euler_covariance)
 _heading = jax.jit(lambda q: heading_deg(euler_from_quat(q)[..., 2]))
 
 
+def check_threshold(heading_sd_deg: float) -> None:
+    """Refuse a standard deviation (deg) that no heading falls below.
+
+    Raises:
+        UserError: it is not above zero.
+    """
+    if not heading_sd_deg > 0:
+        raise UserError(f"the heading's standard deviation cannot fall below {heading_sd_deg} deg")
+
+
 class FilterRecord(eqx.Module):
     """What a filter with an error model tells beside the attitude.
 
@@ -53,6 +63,8 @@ class FilterRecord(eqx.Module):
         innovation_covariance: (K, m, m), or None.
         updated: (K,) 1 where there was an update, else 0; or None.
         log_likelihood: (K,) of the measurements up to this epoch by the model, but for a constant; or None.
+        calibration: (K, m) of the aid, as ``RobustMap.calibrate`` has it: scale factor, misalignment (rad, b), latency
+            (s), lever arm (m, b); or None.
     """
 
     gyro_bias: Float[Array, "*K 3"]
@@ -62,6 +74,7 @@ class FilterRecord(eqx.Module):
     innovation_covariance: Float[Array, "*K m m"] | None = None
     updated: Float[Array, "*K"] | None = None
     log_likelihood: Float[Array, "*K"] | None = None
+    calibration: Float[Array, "*K m"] | None = None
 
 
 class Solution(eqx.Module):
@@ -132,8 +145,7 @@ class Solution(eqx.Module):
         Raises:
             UserError: it is not above zero, or the solution has no covariance.
         """
-        if not heading_sd_deg > 0:
-            raise UserError(f"the heading's standard deviation cannot fall below {heading_sd_deg} deg")
+        check_threshold(heading_sd_deg)
         sd = self.euler_sd_deg
         if sd is None:
             raise UserError("this solution has no standard deviations: jaxalign.assess makes them")
@@ -178,7 +190,7 @@ class Solution(eqx.Module):
             out["gyro_bias"] = self._masked(self.filter.gyro_bias)
             out["accel_bias"] = self._masked(self.filter.accel_bias)
             out["covariance"] = self._masked(self.filter.covariance)
-            for name in ("innovation", "innovation_covariance", "log_likelihood"):
+            for name in ("innovation", "innovation_covariance", "log_likelihood", "calibration"):
                 if (values := getattr(self.filter, name)) is not None:
                     out[name] = self._masked(values)
         return out

@@ -62,14 +62,17 @@ def test_errors_pass_on_as_navigation_has_them(short, kind, size):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-2 * np.abs(theirs).max() + 1e-12)
 
 
-@pytest.mark.parametrize("calibrated", [False, True])
+AID = {"mounting": 4, "latency": 1, "lever": 3}
+
+
+@pytest.mark.parametrize("calibrated", [(), ("mounting", "latency", "lever")])
 def test_smoother_is_the_dense_least_squares_solution(short, calibrated):
     """All unknowns and all white noise of twelve intervals in one normal matrix."""
     epochs, _, path = short
     imu = ImuErrors(*(jnp.asarray(x) for x in (10.0, 2.0, 500.0, 3000.0)))
     used = epochs.rows.valid.at[4].set(False)
-    measured = fixes(path, epochs.rows.velocity, used, "body", jnp.zeros(4) if calibrated else None)
-    n = 16 if calibrated else 12
+    measured = fixes(path, epochs.rows.velocity, used, "body", **{x: jnp.zeros(AID[x]) for x in calibrated})
+    n = 12 + sum(AID[x] for x in calibrated)
     variance = jnp.linspace(0.01, 0.3, 13)
     prior = Prior(jnp.linspace(-1e-4, 1e-4, n), jnp.full(n, 1e-3).at[3:6].set(100.0))
     found = filtered(path, measured, variance, imu, prior, keep=True)
@@ -226,6 +229,133 @@ def test_calibration_of_the_doppler_log():
     wrong, mended = (attitude_error_deg(align(m, spoiled, every=log.epochs), log)[-1, 2] for m in (plain, calibrating))
     assert abs(wrong) > 0.5
     assert abs(mended) < 0.2
+
+
+def test_likelihood_is_that_of_the_dense_distribution(short):
+    """Twelve epochs: the recursion against the normal density of all velocities at once, but for its constant."""
+    epochs, _, path = short
+    imu = ImuErrors(*(jnp.asarray(x) for x in (10.0, 2.0, 500.0, 3000.0)))
+    used = epochs.rows.valid.at[4].set(False)
+    measured = fixes(path, epochs.rows.velocity, used, "body")
+    variance = jnp.linspace(0.01, 0.3, 13)
+    prior = Prior(jnp.linspace(-1e-4, 1e-4, 12), jnp.full(12, 1e-3).at[3:6].set(1.0))
+    found = filtered(path, measured, variance, imu, prior)
+    rows = [jax.tree.map(lambda x, k=k: x[k], path) for k in range(13)]
+    from jaxalign.batch.smoother import _noise
+
+    state, shocks = np.eye(12), []
+    slopes, spreads = [], []
+    for k, row in enumerate(rows):
+        push = np.asarray(forth(row, jnp.eye(12)))
+        state = push @ state
+        shocks = [push @ s for s in shocks] + [
+            np.eye(12)[:, :6] @ np.linalg.cholesky(_noise(row, imu) + 1e-30 * np.eye(6))
+        ]
+        if used[k]:
+            h = np.asarray(measured.slope[k])
+            slopes.append(h @ state)
+            spreads.append(np.hstack([h @ s for s in shocks] + [np.zeros((3, 6 * (12 - k)))]))
+    a, b = np.vstack(slopes), np.vstack(spreads)
+    keep = np.asarray(used)
+    covariance = a @ np.diag(prior.variance) @ a.T + b @ b.T + np.diag(np.repeat(np.asarray(variance)[keep], 3))
+    z = np.asarray(measured.gap)[keep].ravel() - a @ np.asarray(prior.mean)
+    dense = -0.5 * (z @ np.linalg.solve(covariance, z) + np.linalg.slogdet(covariance)[1])
+    np.testing.assert_allclose(found.log_likelihood, dense, rtol=1e-9)
+
+
+@pytest.mark.parametrize("unknown", ["latency", "lever"])
+def test_slopes_of_the_aids_unknowns(short, unknown):
+    """The gap changes as the slope says, exactly: both are linear."""
+    epochs, _, path = short
+    value = jnp.arange(1.0, 1.0 + AID[unknown]) / 3
+    zero, there = (fixes(path, epochs.rows.velocity, epochs.rows.valid, "nav", **{unknown: x * value}) for x in (0, 1))
+    np.testing.assert_allclose(zero.gap - there.gap, zero.slope[..., 12:] @ value, atol=1e-13)
+    assert np.abs(zero.gap - there.gap).max() > 1e-4
+
+
+def spoilt(log, exact, late=0.0, lever=(0.0, 0.0, 0.0)):
+    """The log of an aid that is late (s), and not where the inertial unit is (m, b)."""
+    v, c = np.asarray(exact.velocity_n), np.asarray(exact.C_nb)
+    interval = log.aid_every * log.dt
+    turned = np.einsum("kij,kjl->kil", np.swapaxes(c[:-1], 1, 2), c[1:])
+    rate = np.asarray(Quat.of(rotation.quat_from_dcm(turned)).log().array) / interval
+    rate = 0.5 * (np.vstack([rate[:1], rate]) + np.vstack([rate, rate[-1:]]))
+    moved = np.cross(rate, np.asarray(lever))
+    if log.aid == "body":
+        v = np.einsum("kji,kj->ki", c, v)
+    else:
+        moved = np.einsum("kij,kj->ki", c, moved)
+    before = np.vstack([v[:1], v[:-1]])
+    return dataclasses.replace(log, velocity=log.velocity - late / interval * (v - before) + moved)
+
+
+LATE, LEVER = 0.3, (0.5, -1.5, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "unknown"),
+    [
+        ("gps-zigzag", "latency+lever"),
+        pytest.param("dvl-accturn", "latency", marks=pytest.mark.slow),
+        pytest.param("dvl-sway", "lever", marks=pytest.mark.slow),
+    ],
+)
+def test_latency_and_lever_arm_are_found(name, unknown):
+    """Velocities of 0.3 s ago, or of elsewhere, with a noise of 0.05 m/s: that is found, and the attitude is right."""
+    late, lever = ("latency" in unknown) * LATE, np.array(LEVER) * ("lever" in unknown)
+    made = dataclasses.replace(scenario(name), aid_sd=0.05)
+    log, exact = simulate(made, seed=2), truth(made)
+    log = spoilt(log, exact, late, lever)
+    imu = ImuErrors.of(made)
+    plain, found = (
+        align(RobustMap(imu=imu, aid=log.aid, calibrate=x, latency_sd=jnp.asarray(0.5)), log, every=log.epochs)
+        for x in ("none", unknown)
+    )
+    assert plain.filter.calibration is None
+    wanted = np.concatenate([[late] * ("latency" in unknown), lever if "lever" in unknown else []])
+    sd = np.sqrt(np.diagonal(found.filter.covariance[-1])[12:])
+    print(name, np.round(found.filter.calibration[-1], 3), np.round(sd, 3))
+    assert (np.abs(found.filter.calibration[-1] - wanted) < np.maximum(4 * sd, 0.05)).all()
+    seen = sd < 0.3  # a turn about one axis says nothing of the arm along it
+    assert seen.sum() >= len(wanted) - ("lever" in unknown)
+    assert (np.abs(attitude_error_deg(found, log)[-1]) < 3.5 * np.rad2deg(found.sd[-1])).all()
+    np.testing.assert_allclose(found.aid_sd[-1], 0.05, rtol=0.2)
+    assert found.filter.log_likelihood[-1] > plain.filter.log_likelihood[-1] + 5
+
+
+@pytest.mark.slow
+def test_noise_that_neighbours_share_is_counted():
+    """A first-order process of 5 s instead of white noise: deviations that were three times too small hold."""
+    made = scenario("dvl-sturn")
+    exact, intervals = truth(made), intervals_of(truth(made), made.aid_every)
+    method, imu = RobustMap(imu=ImuErrors.of(made)), ImuErrors.of(made)
+    r = np.exp(-1.0 / 5.0)
+
+    @jax.jit
+    def solve(key):
+        a, b = jax.random.split(key)
+        epochs = measure_epochs(intervals, dataclasses.replace(made, aid_sd=1e-3), a)
+        white = jax.random.normal(b, (len(epochs), 3))
+
+        def step(x, n):
+            x = r * x + np.sqrt(1 - r * r) * n
+            return x, x
+
+        noise = 0.1 * jax.lax.scan(step, white[0], white)[1]
+        rows = dataclasses.replace(epochs.rows, velocity=epochs.rows.velocity + Vec3.of(noise))
+        epochs = eqx.tree_at(lambda e: (e.rows, e.aid_sd), epochs, (rows, jnp.asarray(0.1)))
+        out = []
+        for noise in ("at_least", "stated"):
+            found = dataclasses.replace(method, imu=imu, noise=noise).solve(epochs, len(epochs) - 1)
+            out.append((found.q_nb[-1], found.sd[-1, 2]))
+        return out
+
+    reference = rotation.quat_from_dcm(exact.C_nb[-1])
+    found = jax.lax.map(solve, jax.random.split(jax.random.key(3), 60))
+    ratio = [np.sqrt(np.mean((rotation.attitude_error(q, reference)[:, 2] / sd) ** 2)) for q, sd in found]
+    print(ratio)
+    assert ratio[0] < 1.5
+    assert ratio[1] > 2.0
 
 
 @pytest.mark.slow

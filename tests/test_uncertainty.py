@@ -71,8 +71,7 @@ def test_coverage(name, share):
     phi, sd, _, _ = errors_and_deviations(made, name, 100, 100)
     covered = (np.abs(phi) < 1.96 * sd)[:, 1:].mean(axis=(0, 1))
     print(name, share, np.round(covered, 3))
-    assert (covered > 0.85).all(), covered
-    assert (covered <= 1.0).all(), covered
+    assert (covered > 0.88).all(), covered
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +120,15 @@ def test_behind_a_prefilter_it_is_indicative():
     found = assess(build("gravity_q", "static", prefilter="fir"), log, imu_errors("tactical"), every=30, draws=32)
     assert (np.asarray(found.status) & Status.INDICATIVE).all()
     assert np.isfinite(found.covariance).all()
+
+
+def test_a_wide_open_heading_is_indicative(log):
+    found = assess(build("oba", "body"), log, imu_errors("mems"), every=10, draws=32)
+    hint = (np.asarray(found.status) & Status.INDICATIVE) > 0
+    np.testing.assert_array_equal(hint, np.asarray(found.defined) & (np.rad2deg(found.sd[:, 2]) >= 20))
+    assert hint[-1]
+    sure = assess(build("oba", "body"), simulate("dvl-sturn", seed=3), imu_errors("navigation"), every=150, draws=32)
+    assert not np.asarray(sure.status)[-1] & Status.INDICATIVE
 
 
 def test_bad_input(log):

@@ -69,7 +69,7 @@ class ImuErrors(eqx.Module):
 GRADES = {
     "navigation": (0.05, 0.01, 100.0, 50.0),
     "tactical": (5.0, 0.1, 1000.0, 100.0),
-    "mems": (300.0, 0.3, 10000.0, 200.0),
+    "mems": (200.0, 0.3, 5000.0, 200.0),
 }
 """Grades by name: bias deg/h, walk deg/sqrt(h), bias ug, noise ug/sqrt(Hz)."""
 

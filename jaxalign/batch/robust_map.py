@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -30,6 +30,7 @@ _LEAST = 1e-12  # weight
 _BELIEF = 6.0  # numbers that the stated noise of the aid is worth
 _FITTED = 8.0  # numbers that the attitude, the first velocity and what is seen of the biases take up
 _LONGEST = 0.95  # correlation of neighbouring fixes
+_PARTS = {"mounting": 4, "latency": 1, "lever": 3}  # in the order of their unknowns
 _BLIND = np.deg2rad(20.0)
 
 
@@ -49,10 +50,12 @@ class RobustMap(eqx.Module):
             larger; "estimated": that of the data, the stated one being worth a few fixes; "stated": as it is. Data tell
             of white noise alone: where a stated figure covers slow errors too, the estimate is too small.
         calibrate: unknowns of the aid too: "none" (default), "mounting" (scale factor and misalignment of a body aid),
-            "latency" (its velocities are of some time ago), or "both".
+            "latency" (its velocities are of some time ago), "lever" (it is not where the inertial unit is), or some of
+            them: "latency+lever".
         scale_sd: of the scale factor beforehand.
         mounting_sd_deg: of each angle of the misalignment beforehand.
         latency_sd: of the latency beforehand, s. It is resolved to a fraction of the interval between epochs.
+        lever_sd: of each component of the lever arm beforehand, m.
         iterations: Gauss-Newton steps.
         aid: that it observes.
         interval_samples: IMU samples per epoch; None: as the log has it.
@@ -60,6 +63,7 @@ class RobustMap(eqx.Module):
     Source: none of the papers.
     """
 
+    has_covariance: ClassVar[bool] = True
     imu: ImuErrors = eqx.field(default_factory=ImuErrors)
     outliers: Float[Array, ""] = tunable(0.05, unit="1", bounds=(1e-4, 0.5))
     spread: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))
@@ -67,7 +71,8 @@ class RobustMap(eqx.Module):
     mounting_sd_deg: Float[Array, ""] = tunable(1.0, unit="deg", bounds=(1e-4, 10.0))
     latency_sd: Float[Array, ""] = tunable(0.1, unit="s", bounds=(1e-4, 5.0))
     noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
-    calibrate: Literal["none", "mounting", "latency", "both"] = eqx.field(static=True, default="none")
+    lever_sd: Float[Array, ""] = tunable(1.0, unit="m", bounds=(1e-3, 1e3))
+    calibrate: str = eqx.field(static=True, default="none")
     iterations: int = eqx.field(static=True, default=8)
     aid: Aid = eqx.field(static=True, default="body", metadata={"given": True})
     interval_samples: int | None = optional_count()
@@ -75,19 +80,23 @@ class RobustMap(eqx.Module):
     def __check_init__(self):
         check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
         check_interval(self.interval_samples)
-        check_choice("calibrate", self.calibrate, ("none", "mounting", "latency", "both"))
-        if self._mounting and self.aid != "body":
-            raise UserError("calibrate: scale and misalignment are those of a body aid; it may be none or latency here")
-        if self._latency and self.aid == "static":
+        if self.calibrate != "none":
+            for part in self.calibrate.split("+"):
+                check_choice("calibrate", part, _PARTS)
+        if "mounting" in self._unknown and self.aid != "body":
+            raise UserError("calibrate: scale and misalignment are those of a body aid: leave mounting out")
+        if self._unknown and self.aid == "static":
             raise UserError("calibrate: a standing vehicle has no aid to calibrate")
 
     @property
-    def _mounting(self) -> bool:
-        return self.calibrate in ("mounting", "both")
-
-    @property
-    def _latency(self) -> bool:
-        return self.calibrate in ("latency", "both")
+    def _unknown(self) -> dict[str, slice]:
+        """Where the unknowns of the aid are, by name."""
+        out, end = {}, 0
+        for name, size in _PARTS.items():
+            if name in self.calibrate.split("+"):
+                out[name] = slice(end, end + size)
+                end += size
+        return out
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method."""
@@ -105,10 +114,13 @@ class RobustMap(eqx.Module):
         imu, mounting = self.imu, jnp.deg2rad(self.mounting_sd_deg)
         parts = [(3, UNKNOWN), (3, _FREE * stated), (3, imu.gyro_bias), (3, imu.accel_bias)]
         mean = [jnp.zeros(6), -guess.gyro.array, -guess.accel.array]
-        if self._mounting:
-            parts += [(1, self.scale_sd), (3, mounting)]
-        if self._latency:
-            parts.append((1, self.latency_sd))
+        known = {
+            "mounting": [(1, self.scale_sd), (3, mounting)],
+            "latency": [(1, self.latency_sd)],
+            "lever": [(3, self.lever_sd)],
+        }
+        for name in self._unknown:
+            parts += known[name]
         mean.append(-calibration)
         sd = jnp.concatenate([jnp.full(n, 1.0) * x for n, x in parts])
         return Prior(jnp.concatenate(mean), sd**2)
@@ -141,14 +153,13 @@ class RobustMap(eqx.Module):
         variance = stated**2
         if self.noise != "stated":
             variance = jnp.maximum(variance, scale**2)
-        calibration = jnp.zeros(4 * self._mounting + self._latency)
+        calibration = jnp.zeros(sum(_PARTS[name] for name in self._unknown))
 
         def solved(state: Any) -> Any:
             guess, calibration, weight, variance, times = state
             path = navigated(epochs, guess).until(last)
-            mounting = calibration[:4] if self._mounting else None
-            latency = calibration[-1] if self._latency else None
-            measured = fixes(path, epochs.rows.velocity, used, self.aid, mounting, latency)
+            unknown = {name: calibration[where] for name, where in self._unknown.items()}
+            measured = fixes(path, epochs.rows.velocity, used, self.aid, **unknown)
             each = variance * times / jnp.where(used, jnp.maximum(weight, _LEAST), 1.0)
             prior = self._prior(guess, calibration, stated)
             return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
@@ -213,6 +224,8 @@ def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
     def masked(x: Any) -> Any:
         return jnp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
 
+    biases = (masked(found[x]) for x in ("gyro", "accel", "covariance"))
+    calibration = None if method.calibrate == "none" else masked(found["calibration"])
     return Solution(
         time=jnp.cumsum(epochs.rows.dt)[rows],
         q_nb=where(defined, found["q_nb"].positive(), Quat.identity()).array,
@@ -226,7 +239,5 @@ def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
         covariance=masked(found["tilt"]),
         status=status,
         aid_sd=found["aid_sd"],
-        filter=FilterRecord(
-            *(masked(found[x]) for x in ("gyro", "accel", "covariance")), log_likelihood=found["likelihood"]
-        ),
+        filter=FilterRecord(*biases, log_likelihood=found["likelihood"], calibration=calibration),
     )

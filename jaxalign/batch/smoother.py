@@ -74,13 +74,23 @@ def _change(path: Path, aid: str) -> Vec3:
     return (path.velocity - before) * jnp.where(moved, 1.0 / jnp.where(moved, path.dt, 1.0), 0.0)
 
 
+def _rate(path: Path) -> Vec3:
+    """How fast the vehicle turns, n0, rad/s: over the two intervals around each epoch, as far as the path goes."""
+    before = jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), path.q_n0b)
+    turn = (path.q_n0b * before.conjugate()).positive().log()
+    turn = jax.tree.map(lambda x: jnp.where(path.dt > 0, x, 0.0), turn)
+    turn, dt = jax.tree.map(lambda x: x + jnp.append(x[1:], 0.0), (turn, path.dt))
+    return turn * jnp.where(dt > 0, 1.0 / jnp.where(dt > 0, dt, 1.0), 0.0)
+
+
 def fixes(
     path: Path,
     velocity: Vec3,
     used: Bool[Array, " K"],
     aid: str,
     mounting: Float[Array, " 4"] | None = None,
-    latency: Any = None,
+    latency: Float[Array, " 1"] | None = None,
+    lever: Float[Array, " 3"] | None = None,
 ) -> Measured:
     """The velocities of an aid along a path.
 
@@ -92,6 +102,7 @@ def fixes(
         mounting: scale factor and misalignment (rad, b) of a body aid so far, four more unknowns:
             ``v_measured = (1 + scale) (v - misalignment x v)``.
         latency: s, of the aid so far, one more unknown: it measures the velocity of so long ago.
+        lever: m, b, from the inertial unit to the aid so far, three more unknowns: it moves as the vehicle turns.
     """
     v = path.velocity
     if mounting is not None:
@@ -111,8 +122,12 @@ def fixes(
         blocks += [v.array[..., None], tilt @ path.q_n0b.matrix.array]
     if latency is not None:
         change = _change(path, aid)
-        seen = seen + change * latency
+        seen = seen + change * latency[0]
         blocks.append(-change.array[..., None])
+    if lever is not None:
+        rate = _rate(path)
+        seen = seen - rate.cross(path.q_n0b.rotate(Vec3.of(lever)))
+        blocks.append(jax.vmap(skew)(rate) @ path.q_n0b.matrix.array)
     there = used[:, None]
     slope = jnp.concatenate(blocks, axis=-1)
     return Measured(jnp.where(there, (seen - v).array, 0.0), jnp.where(there[..., None], slope, 0.0))

@@ -12,9 +12,13 @@ import numpy as np
 from jaxalign.errors import UserError
 
 if TYPE_CHECKING:
+    from jaxalign.batch import ImuErrors
     from jaxalign.log import Log
 
 __all__ = ["add"]
+
+_ROWS = 50  # of the batch estimator
+_VISITS = 150_000  # of its rows to epochs: seconds
 
 
 def add(commands: Any) -> None:
@@ -31,7 +35,8 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--method",
         metavar="NAME",
-        help="see `jaxalign methods` (default: gravity_q without an aid, centred_oba with one)",
+        help="auto (default: robust_map, with unknowns and grade of the inertial unit that fit the log), or one of "
+        "`jaxalign methods`",
     )
     command.add_argument(
         "--method-file", metavar="FILE", help="a method with its numbers, as written by `jaxalign tune --output` (JSON)"
@@ -49,13 +54,17 @@ def add(commands: Any) -> None:
         help="a parameter of the method or prefilter, e.g. observe.window=60, prefilter.cutoff=0.5; may be repeated",
     )
     command.add_argument(
-        "--every", type=int, default=1, metavar="N", help="read out the attitude every N epochs (default 1)"
+        "--every",
+        type=int,
+        metavar="N",
+        help="read out the attitude every N epochs (default 1; for robust_map, whose rows are dear, 50 rows at most)",
     )
     command.add_argument(
         "--imu",
         metavar="GRADE",
         help="of the inertial unit: navigation, tactical or mems, or a TOML file of its figures (gyro_bias_deg_h, "
-        "gyro_walk_deg_sqrt_h, accel_bias_ug, accel_noise_ug_sqrt_hz); with it, any method states standard deviations",
+        "gyro_walk_deg_sqrt_h, accel_bias_ug, accel_noise_ug_sqrt_hz); auto and robust_map use it, and with it any "
+        "other method states standard deviations (default of auto: by the data)",
     )
     command.add_argument(
         "--aligned",
@@ -78,10 +87,12 @@ def _run(options: argparse.Namespace) -> int:
     from jaxalign.cli.summary import summary
     from jaxalign.io.files import replacing
     from jaxalign.method_file import method_entries
+    from jaxalign.solution import check_threshold
     from jaxalign.uncertainty import assess
 
     log = read_log(options)
-    name, method = _method(options, log)
+    imu = None if options.imu is None else imu_figures(options.imu)
+    name, method, reasons = _method(options, log, imu)
     plots = None
     if options.plot:
         from jaxalign import plots
@@ -95,18 +106,19 @@ def _run(options: argparse.Namespace) -> int:
                 f"{name} takes the vehicle as standing, but the aid of {log.name} says {speed:.1f} m/s: use a method "
                 f"that takes a {log.aid!r} aid (oba, centred_oba), or cut out a standing part with --start and --end"
             )
-    if options.imu is None:
-        found = align(method, log, options.every, options.aid_sd)
-    else:
-        found = assess(method, log, imu_figures(options.imu), options.every, options.aid_sd)
-    solution = jax.block_until_ready(found)
     if options.aligned is not None:
-        if solution.covariance is None:
+        check_threshold(options.aligned)
+        if options.imu is None and not method.has_covariance:
             raise UserError(
                 f"--aligned: {name} knows no standard deviations by itself: say what unit it is with --imu navigation, "
                 "tactical or mems"
             )
-        solution.aligned(options.aligned)  # refuses a threshold that is none
+    every = _every(options, method, log)
+    if imu is None:
+        found = align(method, log, every, options.aid_sd)
+    else:
+        found = assess(method, log, imu, every, options.aid_sd)
+    solution = jax.block_until_ready(found)
 
     # Files first: a reader of the printed lines that leaves early (head) must not cost the results.
     estimated = options.aid_sd is None and (log.aid_sd is None or log.aid != method.aid)
@@ -114,7 +126,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.output:
         recipe = {
             **method_entries(name, method),
-            "every": options.every,
+            "every": every,
             "imu": options.imu,
             "aid_sd": float(solution.aid_sd[-1]),
             "aid_sd_from": "data" if estimated else "user" if options.aid_sd is not None else "log",
@@ -131,13 +143,25 @@ def _run(options: argparse.Namespace) -> int:
         with replacing(options.plot) as stream:
             figure.savefig(stream, format=Path(options.plot).suffix[1:].lower())
         written.append(options.plot)
-    lines = summary(log, name, method, solution, estimated, options.aligned)
+    lines = summary(log, name, method, solution, estimated, options.aligned, reasons)
     for line in (*lines, *(f"wrote {path}" for path in written)):
         print(line)
     return 0
 
 
-def _method(options: argparse.Namespace, log: Log) -> tuple[str, Any]:
+def _every(options: argparse.Namespace, method: Any, log: Log) -> int:
+    """Epochs between rows: each row of the batch estimator goes over all epochs before it."""
+    from jaxalign.batch import RobustMap
+
+    if options.every is not None or not isinstance(method, RobustMap):
+        return 1 if options.every is None else options.every
+    count = log.epochs * log.aid_every // (method.interval_samples or log.aid_every)
+    return max(-(-count // min(max(_VISITS // max(count, 1), 2), _ROWS)), 1)
+
+
+def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tuple[str, Any, tuple[str, ...]]:
+    """Name, method, and why it was chosen if it was not named."""
+    from jaxalign.auto import choose
     from jaxalign.cli.report import assignments
     from jaxalign.method_file import read_method
     from jaxalign.methods import RECIPES, build
@@ -145,11 +169,16 @@ def _method(options: argparse.Namespace, log: Log) -> tuple[str, Any]:
 
     settings = assignments(options.set)
     if options.method_file is None:
-        name = options.method or ("gravity_q" if log.aid == "static" else "centred_oba")
+        name = options.method or "auto"
+        if name == "auto" and options.prefilter is None:
+            choice = choose(log, imu, options.aid_sd, settings)
+            return choice.name, choice.method, choice.reasons
+        if name == "auto":
+            raise UserError("--prefilter: auto takes none: name a method for a standing vehicle, --method gravity_q")
         # A method for a standing vehicle ignores the aid; one that takes any aid takes the log's.
         kinds = RECIPES[name].aids if name in RECIPES else ()
         aid = "static" if kinds == ("static",) else log.aid
-        return name, build(name, aid, settings, options.prefilter)
+        return name, build(name, aid, settings, options.prefilter), ()
     if options.method is not None or options.prefilter is not None:
         flag = "--method" if options.method is not None else "--prefilter"
         raise UserError(f"{flag} and --method-file: give one of them, the file says all of the method")
@@ -159,4 +188,4 @@ def _method(options: argparse.Namespace, log: Log) -> tuple[str, Any]:
             f"{options.method_file} holds {name} for a {method.aid!r} aid, but {log.name} has a {log.aid!r} aid: tune "
             "one for it, or name a method with --method"
         )
-    return name, with_parameters(method, settings)
+    return name, with_parameters(method, settings), ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -128,12 +129,12 @@ def _described(prefilter: AbstractPrefilter) -> str:
     return f"{type(prefilter).__name__} ({values})"
 
 
-def _sure(solution: Solution, t0: float, aligned: float | None) -> list[str]:
+def _sure(solution: Solution, t0: float, aligned: float | None, filtered: bool) -> list[str]:
     """Standard deviations at the end, and since when they are good enough."""
     sd = solution.euler_sd_deg
     assert sd is not None
     hint = bool(np.asarray(solution.status)[-1] & Status.INDICATIVE)
-    note = " (indicative only: a prefilter colours the noise)" if hint else ""
+    note = f" (indicative only: {'a prefilter colours the noise' if filtered else 'no small angle'})" if hint else ""
     pitch, roll, heading = sd[-1]
     out = [f"standard deviations at the end: pitch {pitch:.4f}, roll {roll:.4f}, heading {heading:.3f} deg{note}"]
     if aligned is not None:
@@ -191,7 +192,13 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def summary(
-    log: Log, name: str, method: Any, solution: Solution, estimated: bool, aligned: float | None = None
+    log: Log,
+    name: str,
+    method: Any,
+    solution: Solution,
+    estimated: bool,
+    aligned: float | None = None,
+    reasons: Sequence[str] = (),
 ) -> list[str]:
     """All of it.
 
@@ -202,6 +209,7 @@ def summary(
         solution: what it found.
         estimated: whether the noise was estimated from the log.
         aligned: threshold of the heading's standard deviation, deg.
+        reasons: why the method was chosen.
     """
     interval = (_slot(method, "interval_samples") or log.aid_every) * log.dt
     kind = "white noise of the aid"
@@ -215,6 +223,7 @@ def summary(
         f"{log.name}: {_AIDS[log.aid]}, {log.duration:g} s, IMU {1 / log.dt:g} Hz, epochs of {interval:g} s",
         f"method {name}; {kind} {float(solution.aid_sd[-1]):.2g} m/s "
         f"({'estimated from the data' if estimated else 'as stated'})",
+        *(f"  {reason}" for reason in reasons),
         *([] if filtered is None else [f"specific force behind {filtered}"]),
         *(f"warning: {warning}" for warning in log.warnings),
         "",
@@ -225,7 +234,7 @@ def summary(
     if not solution.defined[-1]:
         return out
     if solution.covariance is not None:
-        out += _sure(solution, log.t0, aligned)
+        out += _sure(solution, log.t0, aligned, prefilter is not None)
     if error is not None:
         e, n, u = error[-1]
         out.append(f"error against the reference at the end: east {e:.4f}, north {n:.4f}, heading {u:.3f} deg")

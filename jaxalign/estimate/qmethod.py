@@ -44,7 +44,7 @@ class QMethod(AbstractEstimate):
 def check_whole(observe: AbstractObserve) -> None:
     """Refuse a sliding window."""
     if getattr(observe, "window", 0.0):
-        raise UserError("observe.window means nothing where the first velocity is free (centred_oba): leave it at 0")
+        raise UserError("observe.window means nothing where the first velocity is free: leave it at 0")
 
 
 class CentredWahba(AbstractEstimate):

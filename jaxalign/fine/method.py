@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -50,6 +50,7 @@ class Fine(AbstractRecordMethod):
     TRIAD over its beginning.
     """
 
+    has_covariance: ClassVar[bool] = True
     coarse: Any = eqx.field(default_factory=DualVector, metadata={"hides": ("interval_samples",)})
     filter: ErrorFilter = eqx.field(default_factory=ErrorFilter)
     heading_margin: Float[Array, ""] = tunable(3.0, unit="1", bounds=(0.0, 10.0))

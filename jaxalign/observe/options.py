@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +18,7 @@ def optional_count() -> Any:
     return eqx.field(static=True, default=None, metadata={"optional": True, "integer": True})
 
 
-def check_choice(path: str, value: str, choices: tuple[str, ...]) -> None:
+def check_choice(path: str, value: str, choices: Iterable[str]) -> None:
     """Refuse a word that is not one of the choices."""
     if value not in choices:
         raise UserError(f"{path} = {value!r}: must be one of {', '.join(choices)}")

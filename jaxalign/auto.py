@@ -1,0 +1,120 @@
+"""A method for a log when none is named: what it takes for unknown, how good the inertial unit is, and why."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxalign.aligner import epochs_for
+from jaxalign.batch import GRADES, ImuErrors, RobustMap, imu_errors
+from jaxalign.errors import UserError
+from jaxalign.log import Log
+from jaxalign.methods import build
+
+__all__ = ["NAME", "Choice", "choose"]
+
+NAME = "robust_map"
+_MARGIN = 6.0  # of the log-likelihood: 400 to 1
+_STEP = 1.0  # s, between epochs of a standing vehicle
+_BEYOND = 3.0  # times its standard deviation beforehand, a bias is none of that grade
+_UNKNOWNS = {"static": "none", "body": "mounting", "nav": "latency+lever"}
+_AIDS = {
+    "static": "no aid: the vehicle stands, its velocity is zero but for its disturbance",
+    "body": "body velocity; its scale factor and misalignment are among the unknowns",
+    "nav": "navigation velocity; the lever arm to its antenna and its latency are among the unknowns",
+}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method that was chosen.
+
+    Attributes:
+        name: of its recipe.
+        method: itself, for :func:`jaxalign.align`.
+        grade: of the inertial unit, None where its figures were given.
+        reasons: what was chosen and why, line by line.
+    """
+
+    name: str
+    method: RobustMap
+    grade: str | None
+    reasons: tuple[str, ...]
+
+
+def choose(
+    log: Log, imu: ImuErrors | None = None, aid_sd: Any = None, parameters: dict[str, Any] | None = None
+) -> Choice:
+    """The method for a log: the robust batch estimator, with the aid of the log and a model of its inertial unit.
+
+    A standing vehicle is observed each second; a body aid has its scale factor and misalignment among the unknowns, a
+    navigation aid its lever arm and latency. Unless ``imu`` is given, the log is aligned with each grade of
+    :data:`jaxalign.batch.GRADES`, and the finest whose likelihood is within a factor of 400 of the best is taken:
+    what the data do not speak against. A grade that is known is better than one that is guessed.
+
+    Args:
+        log: a checked log.
+        imu: figures of the inertial unit, for instance ``imu_errors("tactical")``.
+        aid_sd: see :func:`jaxalign.align`.
+        parameters: path -> value, see :func:`jaxalign.with_parameters`.
+
+    Raises:
+        UserError: as :func:`jaxalign.align`, an unknown parameter, or figures of the unit both in ``imu`` and
+            ``parameters``.
+    """
+    if not isinstance(log, Log):
+        raise UserError(f"{log!r} is no Log: a method is chosen by what a log holds; read one with jaxalign.read(path)")
+    if imu is not None and not isinstance(imu, ImuErrors):
+        raise UserError(f"imu = {imu!r}: must be ImuErrors, for instance imu_errors('tactical')")
+    settings = {"calibrate": _UNKNOWNS[log.aid], "interval_samples": _interval(log), **(parameters or {})}
+    given = sorted(x for x in parameters or {} if x.startswith("imu."))
+    if given:
+        raise UserError(
+            f"{given[0]}: the figures of the inertial unit go together: give them with imu (--imu FILE.toml)"
+        )
+    base = build(NAME, log.aid, settings)
+    reasons = (f"aid: {_AIDS[log.aid]}",)
+    if imu is not None:
+        return Choice(NAME, dataclasses.replace(base, imu=imu), None, (*reasons, "inertial unit: as stated"))
+    grade, why = _grade(base, log, aid_sd)
+    return Choice(NAME, dataclasses.replace(base, imu=imu_errors(grade)), grade, (*reasons, *why))
+
+
+def _interval(log: Log) -> int | None:
+    """IMU samples between epochs."""
+    return min(max(round(_STEP / log.dt), 1), len(log.dtheta)) if log.aid == "static" else None
+
+
+def _grade(base: RobustMap, log: Log, aid_sd: Any) -> tuple[str, tuple[str, ...]]:
+    """The finest grade that the data do not speak against, and what to say of it."""
+    epochs = epochs_for(base, log, aid_sd)
+    last = len(epochs) - 1
+    found = {grade: dataclasses.replace(base, imu=imu_errors(grade)).solve(epochs, max(last, 1)) for grade in GRADES}
+    coarsest = list(GRADES)[-1]
+    likelihood = {}
+    for grade, solution in found.items():
+        assert solution.filter is not None
+        if bool(solution.defined[-1]):
+            likelihood[grade] = float(np.asarray(solution.filter.log_likelihood)[-1])
+    if not likelihood:
+        return coarsest, (f"inertial unit: {coarsest}, as the log is too short to tell",)
+    best = max(likelihood.values())
+    grade = next(x for x, value in likelihood.items() if value > best - _MARGIN)
+    told = ", ".join(f"{x} {value - best:.1f}" for x, value in likelihood.items())
+    why = f"inertial unit: {grade}, the finest grade that the data allow (log-likelihood to the best: {told})"
+    record, imu = found[grade].filter, imu_errors(grade)
+    assert record is not None
+    beyond = [
+        f"{name} biases of {size:.1f} times what is usual"
+        for name, size in (
+            ("gyroscope", np.max(np.abs(np.asarray(record.gyro_bias)[-1])) / float(imu.gyro_bias)),
+            ("accelerometer", np.max(np.abs(np.asarray(record.accel_bias)[-1])) / float(imu.accel_bias)),
+        )
+        if size > _BEYOND
+    ]
+    if not beyond:
+        return grade, (why,)
+    return grade, (why, f"warning: {' and '.join(beyond)} for {grade}: state the figures of the unit (--imu FILE.toml)")
