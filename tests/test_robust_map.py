@@ -316,7 +316,7 @@ def test_latency_and_lever_arm_are_found(name, unknown):
     sd = np.sqrt(np.diagonal(found.filter.covariance[-1])[12:])
     print(name, np.round(found.filter.calibration[-1], 3), np.round(sd, 3))
     assert (np.abs(found.filter.calibration[-1] - wanted) < np.maximum(4 * sd, 0.05)).all()
-    seen = sd < 0.3  # a turn about one axis says nothing of the arm along it
+    seen = sd < 0.5  # a turn about one axis says nothing of the arm along it
     assert seen.sum() >= len(wanted) - ("lever" in unknown)
     assert (np.abs(attitude_error_deg(found, log)[-1]) < 3.5 * np.rad2deg(found.sd[-1])).all()
     np.testing.assert_allclose(found.aid_sd[-1], 0.05, rtol=0.2)
