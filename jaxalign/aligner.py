@@ -31,7 +31,7 @@ from jaxalign.weight import AbstractWeight, Unit
 
 _FEEDBACK = 10
 
-__all__ = ["AlignState", "Aligner", "align", "epochs_for", "estimate_aid_sd"]
+__all__ = ["AlignState", "Aligner", "align", "check_every", "epochs_for", "estimate_aid_sd"]
 
 
 class AlignState(eqx.Module):
@@ -310,6 +310,12 @@ def _measured(method: Any, log: Log, epochs: Epochs) -> Epochs:
     return epochs if raw is method else raw.epochs(log)
 
 
+def check_every(every: Any) -> None:
+    """Refuse rows that are no whole number of epochs apart."""
+    if isinstance(every, str) or every < 1 or every != int(every):
+        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
+
+
 def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) -> Solution:
     """Align a log with a method.
 
@@ -333,8 +339,7 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
         UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be
             estimated, or unfiltered epochs for a method with a prefilter.
     """
-    if isinstance(every, str) or every < 1 or every != int(every):
-        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
+    check_every(every)
     return method.solve(epochs_for(method, log, aid_sd), int(every))
 
 

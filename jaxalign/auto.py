@@ -19,6 +19,8 @@ __all__ = ["NAME", "Choice", "choose"]
 NAME = "robust_map"
 _MARGIN = 6.0  # of the log-likelihood: 400 to 1
 _STEP = 1.0  # s, between epochs of a standing vehicle
+_COARSE = 1.0  # deg/h: gyroscopes that may hide a part of the Earth's rate
+_STARTS = 4
 _BEYOND = 3.0  # times its standard deviation beforehand, a bias is none of that grade
 _UNKNOWNS = {"static": "none", "body": "mounting", "nav": "latency+lever"}
 _AIDS = {
@@ -53,7 +55,8 @@ def choose(
     A standing vehicle is observed each second; a body aid has its scale factor and misalignment among the unknowns, a
     navigation aid its lever arm and latency. Unless ``imu`` is given, the log is aligned with each grade of
     :data:`jaxalign.batch.GRADES`, and the finest whose likelihood is within a factor of 400 of the best is taken:
-    what the data do not speak against. A grade that is known is better than one that is guessed.
+    what the data do not speak against. A grade that is known is better than one that is guessed. With gyroscopes worse
+    than 1 deg/h the search starts from four headings.
 
     Args:
         log: a checked log.
@@ -76,11 +79,17 @@ def choose(
             f"{given[0]}: the figures of the inertial unit go together: give them with imu (--imu FILE.toml)"
         )
     base = build(NAME, log.aid, settings)
+
+    def chosen(imu: ImuErrors, grade: str | None, why: tuple[str, ...]) -> Choice:
+        coarse = float(imu.gyro_bias_deg_h) > _COARSE
+        starts = _STARTS if coarse and "starts" not in settings else base.starts
+        return Choice(NAME, dataclasses.replace(base, imu=imu, starts=starts), grade, (*reasons, *why))
+
     reasons = (f"aid: {_AIDS[log.aid]}",)
     if imu is not None:
-        return Choice(NAME, dataclasses.replace(base, imu=imu), None, (*reasons, "inertial unit: as stated"))
+        return chosen(imu, None, ("inertial unit: as stated",))
     grade, why = _grade(base, log, aid_sd)
-    return Choice(NAME, dataclasses.replace(base, imu=imu_errors(grade)), grade, (*reasons, *why))
+    return chosen(imu_errors(grade), grade, why)
 
 
 def _interval(log: Log) -> int | None:

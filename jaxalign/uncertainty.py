@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxalign.aligner import align, epochs_for
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.model import UNKNOWN
-from jaxalign.batch.start import robust_start, views
+from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.log import Log
@@ -38,8 +38,7 @@ def _fix_sd(epochs: Epochs) -> Float[Array, " K"]:
         return sd
     alpha, beta = views(epochs)
     guess, _, scale = robust_start(alpha, beta, epochs.rows.valid, epochs.aid_sd, epochs.aid)
-    velocity = guess.velocity if epochs.aid == "nav" else -guess.velocity
-    off = (alpha - guess.attitude.rotate(beta) - velocity).norm()
+    off = misfit(alpha, beta, guess, epochs.aid).norm()
     return jnp.where(off > _OUTLIER * scale, off / jnp.sqrt(3.0), sd)
 
 

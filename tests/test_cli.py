@@ -192,7 +192,8 @@ def test_csv_of_a_standing_vehicle_is_static(files, capsys):
     assert main(["align", str(files / "good.csv"), "--every", "10"]) == 0
     out = capsys.readouterr().out
     assert "no aid (standing)" in out
-    assert "gravity_q" in out
+    assert "method robust_map" in out
+    assert "its velocity is zero" in out
 
 
 def test_align_writes_what_it_says(files, tmp_path, capsys):

@@ -144,7 +144,7 @@ def test_figures_from_a_file(tmp_path):
     good = "gyro_bias_deg_h = 2\ngyro_walk_deg_sqrt_h = 0.1\naccel_bias_ug = 500\naccel_noise_ug_sqrt_hz = 80\n"
     path.write_text(good)
     assert float(imu_figures(str(path)).gyro_bias_deg_h) == 2.0
-    assert float(imu_figures("mems").gyro_bias_deg_h) == 300.0
+    assert float(imu_figures("mems").gyro_bias_deg_h) == 200.0
     for text, message in (
         ("gyro_bias_deg_h = 2\n", "missing"),
         (good + "x = 1\n", "no parameter"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
@@ -12,13 +13,14 @@ from jaxtyping import Array, Float
 
 from jaxalign.aligner import align
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import ACCEL, GYRO, SPEED, TILT, UNKNOWN, Guess, navigated
+from jaxalign.batch.model import ACCEL, GYRO, TILT, UNKNOWN, Guess, navigated
+from jaxalign.batch.modes import best_of, turned, turns
 from jaxalign.batch.smoother import Prior, filtered, fixes, smoothed
-from jaxalign.batch.start import robust_start, views
+from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.epochs import Aid, Epochs, epochs_from_log
 from jaxalign.errors import UserError
 from jaxalign.log import Log
-from jaxalign.observe.options import check_choice, check_interval, optional_count
+from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
 from jaxalign.parameters import tunable
 from jaxalign.solution import FilterRecord, Solution, Status
 from jaxalign.vector import Quat, Vec3, where
@@ -31,7 +33,32 @@ _BELIEF = 6.0  # numbers that the stated noise of the aid is worth
 _FITTED = 8.0  # numbers that the attitude, the first velocity and what is seen of the biases take up
 _LONGEST = 0.95  # correlation of neighbouring fixes
 _PARTS = {"mounting": 4, "latency": 1, "lever": 3}  # in the order of their unknowns
+_MEDIAN = 2.366  # of the squared length of a normal vector
+_FEWEST = 3  # fixes
 _BLIND = np.deg2rad(20.0)
+
+
+class _State(eqx.Module):
+    """Between two steps: the path's start, unknowns of the aid, what is thought of each fix, velocities (n0)."""
+
+    guess: Guess
+    calibration: Array
+    weight: Array
+    variance: Array
+    times: Array
+    smooth: Vec3 | None
+
+
+class _Found(eqx.Module):
+    """A solution at an epoch."""
+
+    q_nb: Array
+    tilt: Array
+    told: FilterRecord
+    residual: Array
+    weight: Array
+    aid_sd: Array
+    guess: Guess
 
 
 class RobustMap(eqx.Module):
@@ -56,6 +83,8 @@ class RobustMap(eqx.Module):
         mounting_sd_deg: of each angle of the misalignment beforehand.
         latency_sd: of the latency beforehand, s. It is resolved to a fraction of the interval between epochs.
         lever_sd: of each component of the lever arm beforehand, m.
+        starts: headings to start from. 1 (default): the one found without a guess. 4 for low-cost units, whose biases
+            may hide the turn of the Earth: more than one heading may fit, and the covariance has them all in mind.
         iterations: Gauss-Newton steps.
         aid: that it observes.
         interval_samples: IMU samples per epoch; None: as the log has it.
@@ -73,6 +102,7 @@ class RobustMap(eqx.Module):
     noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
     lever_sd: Float[Array, ""] = tunable(1.0, unit="m", bounds=(1e-3, 1e3))
     calibrate: str = eqx.field(static=True, default="none")
+    starts: int = eqx.field(static=True, default=1)
     iterations: int = eqx.field(static=True, default=8)
     aid: Aid = eqx.field(static=True, default="body", metadata={"given": True})
     interval_samples: int | None = optional_count()
@@ -80,6 +110,8 @@ class RobustMap(eqx.Module):
     def __check_init__(self):
         check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
         check_interval(self.interval_samples)
+        for name in ("starts", "iterations"):
+            check_count(name, getattr(self, name))
         if self.calibrate != "none":
             for part in self.calibrate.split("+"):
                 check_choice("calibrate", part, _PARTS)
@@ -145,63 +177,101 @@ class RobustMap(eqx.Module):
         r = jnp.clip(shared / (own + _BELIEF * variance), 0.0, _LONGEST)
         return (1.0 + r) / (1.0 - r)
 
-    def until(self, epochs: Epochs, seen: tuple[Vec3, Vec3], last: Any) -> dict[str, Any]:
-        """The solution by the fixes up to the epoch ``last``. Pure."""
-        used = epochs.rows.valid & (jnp.arange(len(epochs)) <= last)
-        stated = jnp.maximum(epochs.aid_sd, 1e-6)
-        guess, weight, scale = jax.lax.stop_gradient(robust_start(*seen, used, 1e-6, self.aid))
-        variance = stated**2
-        if self.noise != "stated":
-            variance = jnp.maximum(variance, scale**2)
-        calibration = jnp.zeros(sum(_PARTS[name] for name in self._unknown))
+    def _scaled(self, noise: Any, used: Any, stated: Any) -> Any:
+        """Variance of the noise by its median, which a half of outliers does not move."""
+        square = jnp.sort(jnp.where(used, jnp.sum(noise**2, axis=1), jnp.inf))
+        middle = square[jnp.maximum(jnp.sum(used) - 1, 0) // 2] / _MEDIAN
+        return jnp.maximum(jnp.where(jnp.any(used), middle, 0.0), stated**2)
 
-        def solved(state: Any) -> Any:
-            guess, calibration, weight, variance, times = state
-            path = navigated(epochs, guess).until(last)
-            unknown = {name: calibration[where] for name, where in self._unknown.items()}
-            measured = fixes(path, epochs.rows.velocity, used, self.aid, **unknown)
-            each = variance * times / jnp.where(used, jnp.maximum(weight, _LEAST), 1.0)
-            prior = self._prior(guess, calibration, stated)
-            return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
+    def _estimated(self, noise: Any, good: Any, stated: Any) -> tuple[Any, Any]:
+        """Variance of the noise and how many times it counts, by the fixes that are no outliers."""
+        if self.noise == "stated":
+            return stated**2, jnp.ones(())
+        squares = jnp.sum(good[:, None] * noise**2)
+        count = jnp.maximum(3 * jnp.sum(good) - _FITTED, 0.0)
+        variance = (_BELIEF * stated**2 + squares) / (_BELIEF + count)
+        if self.noise == "at_least":
+            variance = jnp.maximum(variance, stated**2)
+        return variance, self._persistence(noise, good, variance)
 
-        def step(state: Any, _: Any) -> Any:
-            guess, calibration, weight, variance, times = state
-            path, measured, each, prior, found = solved(state)
+    def _solved(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> Any:
+        """One Gauss-Newton step but for taking it: path, measurements, their variances, prior, filter."""
+        path = navigated(epochs, state.guess).until(last)
+        unknown = {name: state.calibration[where] for name, where in self._unknown.items()}
+        smooth = path.velocity if state.smooth is None else state.smooth
+        measured = fixes(path, epochs.rows.velocity, used, self.aid, smooth=smooth, **unknown)
+        each = state.variance * state.times / jnp.where(used, jnp.maximum(state.weight, _LEAST), 1.0)
+        prior = self._prior(state.guess, state.calibration, stated)
+        return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
+
+    def _iterated(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> _Found:
+        """From a start to a solution."""
+
+        def step(state: _State, count: Any) -> tuple[_State, Any]:
+            path, measured, each, prior, found = self._solved(epochs, used, last, stated, state)
             error, noise = smoothed(path, measured, each, prior, found)
+            # While biases are still in the misfit a mean square would take them for noise, and keep them there.
+            early = count < self.iterations // 2
+            variance = jnp.where(early, self._scaled(noise, used, stated), state.variance)
             good, weight = self._weighed(noise, variance, used)
-            if self.noise != "stated":
-                squares = jnp.sum(good[:, None] * noise**2)
-                count = jnp.maximum(3 * jnp.sum(good) - _FITTED, 0.0)
-                variance = (_BELIEF * stated**2 + squares) / (_BELIEF + count)
-                if self.noise == "at_least":
-                    variance = jnp.maximum(variance, stated**2)
-                times = self._persistence(noise, good, variance)
-            return (guess.moved(error), calibration + error[12:], weight, variance, times), noise
+            late, times = self._estimated(noise, good, stated)
+            smooth = path.velocity + Vec3.of(measured.gap - noise)
+            new = _State(
+                state.guess.moved(error),
+                state.calibration + error[12:],
+                weight,
+                jnp.where(early, variance, late),
+                jnp.where(early, 1.0, times),
+                None if state.smooth is None else smooth,
+            )
+            return new, noise[last]
 
-        state, noise = jax.lax.scan(
-            step, (guess, calibration, weight, variance, jnp.ones(())), None, length=self.iterations
-        )
-        guess, calibration, weight, variance, times = state
-        path, _, _, _, found = solved(state)
+        state, noise = jax.lax.scan(step, state, jnp.arange(self.iterations))
+        path, _, _, _, found = self._solved(epochs, used, last, stated, state)
         error, covariance = found.mean[0], found.covariance[0]
         at = jax.tree.map(lambda x: x[last], path)
         q_n0b = (Quat.exp(Vec3.of(error[TILT])) * at.q_n0b).unit()
-        turned = at.q_n0n.matrix.array
-        tilt = turned.T @ covariance[TILT, TILT] @ turned
-        return {
-            "q_nb": (at.q_n0n.conjugate() * q_n0b).unit(),
-            "tilt": tilt,
-            "gyro": guess.gyro.array + error[GYRO],
-            "accel": guess.accel.array + error[ACCEL],
-            "calibration": calibration + error[12:],
-            "covariance": covariance,
-            "likelihood": found.log_likelihood,
-            "residual": noise[-1][last],
-            "weight": jnp.where(used[last], weight[last], 0.0),
-            "aid_sd": jnp.sqrt(variance * times),
-            "fixes": jnp.sum(used),
-            "speed": at.velocity.array + error[SPEED],
-        }
+        turn = at.q_n0n.matrix.array
+        told = FilterRecord(
+            state.guess.gyro.array + error[GYRO],
+            state.guess.accel.array + error[ACCEL],
+            covariance,
+            log_likelihood=found.log_likelihood,
+            calibration=state.calibration + error[12:],
+        )
+        return _Found(
+            (at.q_n0n.conjugate() * q_n0b).unit().array,
+            turn.T @ covariance[TILT, TILT] @ turn,
+            told,
+            noise[-1],
+            jnp.where(used[last], state.weight[last], 0.0),
+            jnp.sqrt(state.variance * state.times),
+            state.guess,
+        )
+
+    def until(self, epochs: Epochs, seen: tuple[Vec3, Vec3], last: Any) -> _Found:
+        """The solution by the fixes up to the epoch ``last``. Pure."""
+        used = epochs.rows.valid & (jnp.arange(len(epochs)) <= last)
+        stated = jnp.maximum(epochs.aid_sd, 1e-6)
+        guess = jax.lax.stop_gradient(robust_start(*seen, used, 1e-6, self.aid)[0])
+        off = misfit(*seen, guess, self.aid)
+        variance = jax.lax.stop_gradient(self._scaled(off.array, used, stated))
+        _, weight = self._weighed(off.array, variance, used)
+        calibration = jnp.zeros(sum(_PARTS[name] for name in self._unknown))
+        smooth = navigated(epochs, guess).velocity if self.aid == "nav" else None
+        state = _State(guess, calibration, jax.lax.stop_gradient(weight), variance, jnp.ones(()), smooth)
+        first = self._iterated(epochs, used, last, stated, state)
+        if self.starts == 1:
+            return first
+
+        def again(angle: Any) -> _Found:
+            start = dataclasses.replace(state, guess=turned(first.guess, angle, self.aid))
+            return self._iterated(epochs, used, last, stated, start)
+
+        others = jax.lax.map(again, jnp.asarray(turns(self.starts)))
+        every = jax.tree.map(lambda x, more: jnp.concatenate([x[None], more]), first, others)
+        best, tilt = best_of(every.q_nb, every.tilt, every.told.log_likelihood)
+        return dataclasses.replace(jax.tree.map(lambda x: x[best], every), tilt=tilt)
 
 
 @eqx.filter_jit
@@ -210,9 +280,10 @@ def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
     rows = np.unique([*range(0, count, every), count - 1])
     alpha, beta = views(epochs)
     found = jax.lax.map(lambda last: method.until(epochs, (alpha, beta), last), jnp.asarray(rows))
-    finite = jnp.all(jnp.isfinite(found["q_nb"].array), axis=1) & jnp.all(jnp.isfinite(found["tilt"]), axis=(1, 2))
-    defined = finite & (found["fixes"] >= 3)
-    observable = defined & (found["tilt"][:, 2, 2] < _BLIND**2)
+    finite = jnp.all(jnp.isfinite(found.q_nb), axis=1) & jnp.all(jnp.isfinite(found.tilt), axis=(1, 2))
+    fixes_so_far = jnp.cumsum(epochs.rows.valid)[rows]
+    defined = finite & (fixes_so_far >= _FEWEST)
+    observable = defined & (found.tilt[:, 2, 2] < _BLIND**2)
     bits = (
         (~defined, Status.UNDEFINED),
         (~observable, Status.HEADING_UNOBSERVABLE),
@@ -224,20 +295,19 @@ def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
     def masked(x: Any) -> Any:
         return jnp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
 
-    biases = (masked(found[x]) for x in ("gyro", "accel", "covariance"))
-    calibration = None if method.calibrate == "none" else masked(found["calibration"])
+    told = jax.tree.map(masked, found.told)
     return Solution(
         time=jnp.cumsum(epochs.rows.dt)[rows],
-        q_nb=where(defined, found["q_nb"].positive(), Quat.identity()).array,
+        q_nb=where(defined, Quat.of(found.q_nb).positive(), Quat.identity()).array,
         defined=defined,
         observable=observable,
         eigengap=jnp.zeros(len(rows)),
-        residual=masked(found["residual"]),
-        weight=found["weight"],
+        residual=masked(found.residual),
+        weight=found.weight,
         alpha=alpha.array[rows],
         beta=beta.array[rows],
-        covariance=masked(found["tilt"]),
+        covariance=masked(found.tilt),
         status=status,
-        aid_sd=found["aid_sd"],
-        filter=FilterRecord(*biases, log_likelihood=found["likelihood"], calibration=calibration),
+        aid_sd=found.aid_sd,
+        filter=told if method.calibrate != "none" else dataclasses.replace(told, calibration=None),
     )

@@ -91,8 +91,13 @@ def fixes(
     mounting: Float[Array, " 4"] | None = None,
     latency: Float[Array, " 1"] | None = None,
     lever: Float[Array, " 3"] | None = None,
+    smooth: Vec3 | None = None,
 ) -> Measured:
     """The velocities of an aid along a path.
+
+    The path wanders off with the noise of the inertial unit. What a tilt does to a velocity is therefore taken at the
+    velocity known best (the aid's own turned into n0, zero, or ``smooth``), not at that of the path: a heading that is
+    wide open would otherwise be told from turned noise.
 
     Args:
         path: guessed.
@@ -103,6 +108,7 @@ def fixes(
             ``v_measured = (1 + scale) (v - misalignment x v)``.
         latency: s, of the aid so far, one more unknown: it measures the velocity of so long ago.
         lever: m, b, from the inertial unit to the aid so far, three more unknowns: it moves as the vehicle turns.
+        smooth: (K,) what the velocity is by all measurements so far, for a navigation aid; None: the path's.
     """
     v = path.velocity
     if mounting is not None:
@@ -110,11 +116,12 @@ def fixes(
     unit = jnp.broadcast_to(jnp.eye(3), (*v.x.shape, 3, 3))
     none = jnp.zeros_like(unit)
     tilt = none
+    tilt = jax.vmap(skew)(v)
     if aid == "body":
         seen = path.q_n0b.rotate(velocity)
-        tilt = jax.vmap(skew)(v)
     elif aid == "nav":
         seen = path.q_n0n.rotate(velocity)
+        tilt = none if smooth is None else jax.vmap(skew)(v - smooth)
     else:
         seen = v * 0.0
     blocks = [tilt, unit, none, none]

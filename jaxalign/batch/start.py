@@ -14,7 +14,7 @@ from jaxalign.estimate import CentredSums, Held, reweighted
 from jaxalign.observe.frames import Place, gravity_impulse, turn
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["robust_start", "views"]
+__all__ = ["misfit", "robust_start", "views"]
 
 _CUTOFF = 6.0  # Tukey's
 
@@ -69,3 +69,9 @@ def robust_start(
     found, sums, weight, scale = reweighted(CentredSums.zero(False), held, Quat.identity(), False, sd, _CUTOFF)
     offset = sums.offset(found.attitude, Vec3.zero())
     return Guess.of(found.attitude, offset if aid == "nav" else -offset), weight, scale
+
+
+def misfit(alpha: Vec3, beta: Vec3, guess: Guess, aid: str) -> Vec3:
+    """(K,) what the pairs are off a guess, m/s, n0."""
+    velocity = guess.velocity if aid == "nav" else -guess.velocity
+    return alpha - guess.attitude.rotate(beta) - velocity

@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
     import jax
 
     import jaxalign
-    from jaxalign.aligner import align
+    from jaxalign.aligner import align, check_every
     from jaxalign.batch import imu_figures
     from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
@@ -90,6 +90,10 @@ def _run(options: argparse.Namespace) -> int:
     from jaxalign.solution import check_threshold
     from jaxalign.uncertainty import assess
 
+    if options.aligned is not None:
+        check_threshold(options.aligned)
+    if options.every is not None:
+        check_every(options.every)
     log = read_log(options)
     imu = None if options.imu is None else imu_figures(options.imu)
     name, method, reasons = _method(options, log, imu)
@@ -106,13 +110,11 @@ def _run(options: argparse.Namespace) -> int:
                 f"{name} takes the vehicle as standing, but the aid of {log.name} says {speed:.1f} m/s: use a method "
                 f"that takes a {log.aid!r} aid (oba, centred_oba), or cut out a standing part with --start and --end"
             )
-    if options.aligned is not None:
-        check_threshold(options.aligned)
-        if options.imu is None and not method.has_covariance:
-            raise UserError(
-                f"--aligned: {name} knows no standard deviations by itself: say what unit it is with --imu navigation, "
-                "tactical or mems"
-            )
+    if options.aligned is not None and imu is None and not method.has_covariance:
+        raise UserError(
+            f"--aligned: {name} knows no standard deviations by itself: say what unit it is with --imu navigation, "
+            "tactical or mems"
+        )
     every = _every(options, method, log)
     if imu is None:
         found = align(method, log, every, options.aid_sd)

@@ -10,7 +10,7 @@ import equinox as eqx
 
 from jaxalign.errors import UserError
 
-__all__ = ["check_choice", "check_interval", "check_window", "optional_count"]
+__all__ = ["check_choice", "check_count", "check_interval", "check_window", "optional_count"]
 
 
 def optional_count() -> Any:
@@ -22,6 +22,12 @@ def check_choice(path: str, value: str, choices: Iterable[str]) -> None:
     """Refuse a word that is not one of the choices."""
     if value not in choices:
         raise UserError(f"{path} = {value!r}: must be one of {', '.join(choices)}")
+
+
+def check_count(path: str, value: int) -> None:
+    """Refuse what is no whole number above zero."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise UserError(f"{path} = {value!r}: must be a whole number, at least 1")
 
 
 def check_window(seconds: float) -> None:
