@@ -18,6 +18,8 @@ from jaxalign.tune import space_of
 FINE = "velocity_sd initial_velocity_sd initial_tilt_sd_deg initial_heading_sd_deg accel_bias_ug gyro_bias_deg_h "
 FINE += "accel_noise_ug_sqrt_hz gyro_walk_deg_sqrt_h accel_bias_walk_ug_sqrt_h gyro_bias_walk_deg_h_sqrt_h"
 WALKS = {"filter.accel_bias_walk_ug_sqrt_h": 5.0, "filter.gyro_bias_walk_deg_h_sqrt_h": 0.05}
+IMU = "gyro_bias_deg_h gyro_walk_deg_sqrt_h accel_bias_ug accel_noise_ug_sqrt_hz"
+AID = "scale_sd mounting_sd_deg latency_sd lever_sd"
 POSITION = "position_sd initial_position_sd"
 CONSTANT = {"estimate.noise": "constant"}
 TABLE = [
@@ -95,15 +97,22 @@ TABLE = [
         " ".join(f"filter.{x}" for x in (FINE + " " + POSITION).split()) + " heading_margin",
         "",
     ),
+    (
+        "robust_map",
+        {"calibrate": "mounting+latency+lever"},
+        None,
+        " ".join(f"imu.{x}" for x in IMU.split()) + f" outliers spread {AID}",
+        "",
+    ),
 ]
-STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2)}
+STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
 QUICK = ("roba", "request", "optimal_request")  # the others compile for 15 s each
 
 
 def expanded():
     for name, settings, prefilter, active, idle in TABLE:
         for row, aid in ROWS:
-            if row == name and (active or idle):
+            if row == name and (active or idle) and (aid == "body" or "calibrate" not in settings):
                 label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
                 quick = name in QUICK and aid == "body"
                 marks = () if quick else pytest.mark.slow
@@ -177,6 +186,7 @@ def test_derivatives(name, aid, settings, prefilter, active, idle):
                 ("quaternion_kf", "static", {}),
                 ("rls_quaternion_kf", "static", {}),
                 ("fine", "static", {}),
+                ("robust_map", "body", {"calibrate": "mounting+latency+lever"}),
             )
         ],
     ],
