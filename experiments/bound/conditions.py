@@ -1,0 +1,126 @@
+"""What is done to the aid of a scenario, and the errors of every recipe under it over the bound."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.monte_carlo import monte_carlo
+from jaxalign.batch import ImuErrors, RobustMap
+from jaxalign.bounds import bound
+from jaxalign.fine import Fine
+from jaxalign.methods import RECIPES, build
+from jaxalign.parameters import with_parameters
+from jaxalign.simulate import Scenario, scenario, truth
+from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap
+
+__all__ = [
+    "CONDITIONS",
+    "FACTOR",
+    "GAPS",
+    "MISSTATED",
+    "MOVING",
+    "Ratios",
+    "matched",
+    "ratios",
+    "recipes",
+    "with_condition",
+]
+
+MOVING = ("dvl-sturn", "dvl-sway", "dvl-accturn", "gps-zigzag")
+FACTOR = {"body": 300.0, "nav": 200.0}
+"""Outliers: times the noise of the aid."""
+MISSTATED = 1.5
+GAPS = ((0.1, 0.2), (0.4, 0.5), (0.7, 0.8))
+"""Without the aid, as shares of the duration."""
+ROWS = 6
+_COSTLY = {"dvl-accturn": 4}
+"""So many times fewer runs: 1500 epochs."""
+
+Faults = Callable[[Scenario], tuple[AbstractFault, ...]]
+
+
+def _outliers(share: float, single_axis: bool = False, first: Any = "random") -> Faults:
+    return lambda made: (FixedOutliers(share, FACTOR[made.aid], single_axis, first),)
+
+
+CONDITIONS: dict[str, Faults] = {
+    "clean": _outliers(0.0),
+    "2 % outliers": _outliers(0.02),
+    "10 %": _outliers(0.1),
+    "30 %": _outliers(0.3),
+    "bad first": _outliers(0.0, first="always"),
+    "10 %, one axis": _outliers(0.1, True),
+    "gaps": lambda made: tuple(Gap(a * made.duration, b * made.duration) for a, b in GAPS),
+    "noise x 1.5": lambda made: (FixedOutliers(1.0, MISSTATED, False, "random"),),
+}
+
+
+def with_condition(made: Scenario, label: str) -> Scenario:
+    """A scenario whose aid suffers that."""
+    return dataclasses.replace(made, faults=CONDITIONS[label](made))
+
+
+def recipes(made: Scenario) -> dict[str, Any]:
+    """Every recipe that takes the aid of a scenario, those with a model of the unit with the scenario's."""
+    return {name: matched(build(name, made.aid), made) for name, recipe in RECIPES.items() if made.aid in recipe.aids}
+
+
+def matched(method: Any, made: Scenario) -> Any:
+    """With the figures of the scenario's inertial unit, where a method has any."""
+    imu = ImuErrors.of(made)
+    if isinstance(method, RobustMap):
+        seconds = round(made.imu_rate) if made.aid == "static" else None
+        return dataclasses.replace(method, imu=imu, interval_samples=seconds)
+    if isinstance(method, Fine):
+        names = [field.name for field in dataclasses.fields(ImuErrors)]
+        return with_parameters(method, {f"filter.{name}": float(getattr(imu, name)) for name in names})
+    return method
+
+
+class Ratios(NamedTuple):
+    """Errors over the bound.
+
+    Attributes:
+        time: (K,) s.
+        bound: (K, 3) deg: east, north, heading.
+        rms: label -> (K, 3), root mean square over the runs.
+        high: label -> (K, 3), 99 % of the sizes.
+        runs: how many.
+    """
+
+    time: np.ndarray
+    bound: np.ndarray
+    rms: dict[str, np.ndarray]
+    high: dict[str, np.ndarray]
+    runs: int
+
+
+def ratios(name: str, label: str | None, runs: int, seed: int) -> Ratios:
+    """Every recipe on a scenario under a condition (None: as it is)."""
+    made = scenario(name, bias="gaussian")
+    true = made
+    if label is not None:
+        made = true = with_condition(made, label)
+        if label.startswith("noise"):
+            true = dataclasses.replace(made, aid_sd=MISSTATED * made.aid_sd)
+    count = max(runs // _COSTLY.get(name, 1), 2)
+    methods = recipes(made)
+    every = {x: _epochs(made, method) // ROWS for x, method in methods.items()}
+    found = monte_carlo(made, methods, count, seed, every, chunk=min(count, 25), title=f"{name}, {label or 'as it is'}")
+    least = bound(true, truth(made))
+    time = next(iter(found.values())).time
+    rows = np.searchsorted(np.asarray(least.time), time - 1e-6)
+    limit = np.asarray(least.phi_deg)[rows]
+    phi = {x: np.where(np.isfinite(errors.phi), errors.phi, 180.0) for x, errors in found.items()}
+    rms = {x: np.sqrt(np.mean(p**2, axis=0)) / limit for x, p in phi.items()}
+    high = {x: np.percentile(np.abs(p), 99, axis=0) / limit for x, p in phi.items()}
+    return Ratios(time, limit, rms, high, count)
+
+
+def _epochs(made: Scenario, method: Any) -> int:
+    """How many the method makes of the scenario."""
+    return made.epochs * made.aid_every // (getattr(method, "interval_samples", None) or made.aid_every)
