@@ -12,7 +12,7 @@ jax.config.update("jax_enable_x64", True)
 
 from experiments.bound.calibration import CASES, DRAWS, calibration, calibration_table  # noqa: E402
 from experiments.bound.conditions import CONDITIONS, FACTOR, GAPS, MISSTATED, MOVING, ratios  # noqa: E402
-from experiments.bound.pictures import over_time  # noqa: E402
+from experiments.bound.pictures import calibrated, over_time  # noqa: E402
 from experiments.bound.tables import bound_table, end_table, findings, level_table, time_table  # noqa: E402
 from experiments.command import QUICK_RUNS, run  # noqa: E402
 from experiments.page import Page  # noqa: E402
@@ -35,7 +35,7 @@ def study(runs: int, seed: int) -> Page:
     moving = {name: {label: ratios(name, label, runs, seed) for label in labels} for name in names}
     standing = {} if few else {"sway": {"as it is": ratios("sway", None, max(runs // 4, 2), seed)}}
     cases = ["gps-zigzag, clean"] if few else list(CASES)
-    calibrated = {case: calibration(case, max(runs // 2, 2), seed) for case in cases}
+    stated = {case: calibration(case, max(runs // 2, 2), seed) for case in cases}
     accturn = moving.get("dvl-accturn", next(iter(moving.values())))
     page = Page()
     page.add(
@@ -49,7 +49,7 @@ def study(runs: int, seed: int) -> Page:
             **FACTOR,
         ),
         "## What comes out",
-        findings(moving, calibrated),
+        findings(moving, stated),
     )
     for name, of in moving.items():
         page.add(f"## {name}: heading at the end, RMS over the bound, and 99 % of the runs", end_table(name, of))
@@ -68,10 +68,10 @@ def study(runs: int, seed: int) -> Page:
         f"Errors at the end against the stated covariance, {max(runs // 2, 2)} runs: NEES over its degrees of freedom "
         "(1 if the covariance holds), and how many 95 % intervals cover the error. `robust_map` and `fine` state their "
         f"own; for the others `jaxalign.assess` aligns each log {DRAWS} times with drawn errors.",
-        calibration_table(calibrated),
-        "## The bound",
-        bound_table(moving | standing),
+        calibration_table(stated),
     )
+    page.picture("calibration", "NEES of every recipe", calibrated(stated))
+    page.add("## The bound", bound_table(moving | standing))
     return page
 
 

@@ -1,16 +1,17 @@
-"""Errors over the bound, over time."""
+"""Errors over the bound over time, and over what was stated."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from experiments.bound.calibration import Calibration
 from experiments.bound.conditions import Ratios
 from experiments.figures import finish, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["over_time"]
+__all__ = ["calibrated", "over_time"]
 
 _TOP = 100.0
 
@@ -37,3 +38,17 @@ def over_time(name: str, found: dict[str, Ratios]) -> Figure:
     for axis in axes[:, 0]:
         axis.set_ylabel("RMS heading error / bound (1)")
     return finish(axes, name, 6)
+
+
+def calibrated(found: dict[str, dict[str, Calibration]]) -> Figure:
+    """NEES of each recipe and case; 1 where the stated covariance holds."""
+    names = list(dict.fromkeys(name for of in found.values() for name in of))
+    axes = panels(1, 1, width=10.0, height=5.0)
+    axis = axes[0, 0]
+    axis.axhline(1.0, color="black", linestyle="--", linewidth=1.0, label="holds")
+    for i, (case, of) in enumerate(found.items()):
+        where = [names.index(name) for name in of]
+        axis.semilogy(where, [one.nees.value for one in of.values()], "o", color=f"C{i}", label=case, alpha=0.8)
+    axis.set_xticks(range(len(names)), names, rotation=45, ha="right")
+    axis.set_ylabel("NEES / 3 (1)")
+    return finish(axes, "Errors squared over the stated covariance, at the end", 3)
