@@ -14,7 +14,7 @@ help:
 	@echo "make test-slow the tests marked slow;  make test-all  both"
 	@echo "make lint      ruff (check and format)        make types     pyright"
 	@echo "make bench     speed and memory into benchmarks/*.md"
-	@echo "make tables    the tables of experiments/, about 40 min (the last two need the logs: JAXALIGN_SHARED=folder)"
+	@echo "make tables    the tables of experiments/, about an hour (two need the logs: JAXALIGN_SHARED=folder)"
 	@echo "make clean     remove what the above have made, but the environment"
 
 $(STAMP): pyproject.toml
@@ -50,6 +50,7 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.peers
 	$(BIN)/python -m benchmarks.scaling
 	$(BIN)/python -m benchmarks.tuning
+	$(BIN)/python -m benchmarks.robust_map
 
 tables: $(STAMP)
 	$(BIN)/python -m experiments.xu2020_rkf_dvl
@@ -60,6 +61,7 @@ tables: $(STAMP)
 	$(BIN)/python -m experiments.real_logs
 	$(BIN)/python -m experiments.tuning
 	$(BIN)/python -m experiments.embedding
+	$(BIN)/python -m experiments.bound
 
 clean:
 	rm -rf out dist .pytest_cache .ruff_cache .hypothesis .benchmarks

@@ -25,6 +25,7 @@ EXPERIMENTS = (
     "vondrak_disturbed_base",
     "tuning",
     "embedding",
+    "bound",
 )
 ERRORS = np.random.default_rng(1).normal(0.3, 2.0, (40, 25))
 

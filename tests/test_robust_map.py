@@ -14,11 +14,13 @@ from statistical import outlying
 from jaxalign import Quat, Vec3, align, epochs_from_log, parameters, read, rotation, with_parameters
 from jaxalign.batch import ImuErrors, RobustMap, imu_errors
 from jaxalign.batch.model import Guess, back, forth, navigated
+from jaxalign.batch.modes import best_of
 from jaxalign.batch.smoother import Prior, filtered, fixes, smoothed
 from jaxalign.bounds import bound
 from jaxalign.errors import UserError
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
+from jaxalign.simulate.sensors import accel_errors, gyro_errors
 
 
 @pytest.fixture(scope="module")
@@ -321,6 +323,35 @@ def test_latency_and_lever_arm_are_found(name, unknown):
     assert (np.abs(attitude_error_deg(found, log)[-1]) < 3.5 * np.rad2deg(found.sd[-1])).all()
     np.testing.assert_allclose(found.aid_sd[-1], 0.05, rtol=0.2)
     assert found.filter.log_likelihood[-1] > plain.filter.log_likelihood[-1] + 5
+
+
+def test_a_heading_that_nothing_tells_stays_open():
+    """A low-cost unit at rest with GNSS: the path wanders off with its noise, and that is no acceleration."""
+    made = dataclasses.replace(
+        scenario("sway", duration=120.0), gyro=gyro_errors(100.0, 0.3), accel=accel_errors(2000.0, 200.0)
+    )
+    log = simulate(made, seed=4).with_epochs(100)
+    velocity = 0.05 * np.random.default_rng(1).normal(size=(log.epochs + 1, 3))
+    log = dataclasses.replace(log, velocity=velocity, aid="nav", aid_sd=0.05)
+    found = align(RobustMap(imu=imu_errors("mems"), aid="nav", starts=4), log, every=60)
+    assert (np.rad2deg(found.sd[1:, 2]) > 60).all()
+    assert not found.observable[-1]
+    assert (np.abs(attitude_error_deg(found, log)[-1, :2]) < 4 * np.rad2deg(found.sd[-1, :2])).all()
+
+
+def test_modes_count_by_their_likelihood():
+    """Two headings 2 rad apart, one of them found twice, and one that fits by far less."""
+    headings = jnp.array([0.0, 2.0, 2.001, -1.0])
+    q = jnp.stack([Quat.exp(Vec3(0.0 * h, 0.0 * h, h)).array for h in headings])
+    tilt = jnp.broadcast_to(jnp.diag(jnp.array([1e-4, 1e-4, 0.01])), (4, 3, 3))
+    best, covariance = best_of(q, tilt, jnp.array([-1.0, 0.0, -1e-3, -50.0]))
+    assert best == 1
+    share = np.exp(-1.0) / (1 + np.exp(-1.0))
+    np.testing.assert_allclose(covariance[2, 2], 0.01 + share * 4.0, rtol=1e-6)
+    np.testing.assert_allclose(covariance[:2, :2], tilt[0, :2, :2], atol=1e-12)
+    best, covariance = best_of(q, tilt, jnp.array([-jnp.inf, jnp.nan, 0.0, -50.0]))
+    assert best == 2
+    np.testing.assert_allclose(covariance, tilt[0], atol=1e-12)
 
 
 @pytest.mark.slow

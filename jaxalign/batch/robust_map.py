@@ -15,7 +15,7 @@ from jaxalign.aligner import align
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.model import ACCEL, GYRO, TILT, UNKNOWN, Guess, navigated
 from jaxalign.batch.modes import best_of, turned, turns
-from jaxalign.batch.smoother import Prior, filtered, fixes, smoothed
+from jaxalign.batch.smoother import Prior, filtered, fixes, settled, smoothed
 from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.epochs import Aid, Epochs, epochs_from_log
 from jaxalign.errors import UserError
@@ -215,7 +215,8 @@ class RobustMap(eqx.Module):
             variance = jnp.where(early, self._scaled(noise, used, stated), state.variance)
             good, weight = self._weighed(noise, variance, used)
             late, times = self._estimated(noise, good, stated)
-            smooth = path.velocity + Vec3.of(measured.gap - noise)
+            spread = jnp.where(early, variance, late * times)
+            smooth = settled(path.velocity + Vec3.of(measured.gap - noise), good, spread)
             new = _State(
                 state.guess.moved(error),
                 state.calibration + error[12:],

@@ -20,7 +20,7 @@ from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.model import Path, back, forth, skew
 from jaxalign.vector import Vec3
 
-__all__ = ["Filtered", "Measured", "Prior", "filtered", "fixes", "smoothed"]
+__all__ = ["Filtered", "Measured", "Prior", "filtered", "fixes", "settled", "smoothed"]
 
 
 class Prior(eqx.Module):
@@ -138,6 +138,19 @@ def fixes(
     there = used[:, None]
     slope = jnp.concatenate(blocks, axis=-1)
     return Measured(jnp.where(there, (seen - v).array, 0.0), jnp.where(there[..., None], slope, 0.0))
+
+
+def settled(velocity: Vec3, weight: Float[Array, " K"], variance: Any) -> Vec3:
+    """(K,) velocities that an estimate with noise may be taken at: with the changes that noise may have made left out.
+
+    A vehicle that keeps its velocity says nothing of the heading, its noise would.
+    """
+    total = jnp.maximum(jnp.sum(weight), 1e-300)
+    mean = jax.tree.map(lambda x: jnp.sum(weight * x) / total, velocity)
+    change = velocity - mean
+    size = change.norm2()
+    kept = jnp.maximum(1.0 - variance / jnp.maximum(size, 1e-300), 0.0)
+    return mean + change * kept
 
 
 def _noise(row: Path, imu: ImuErrors) -> Float[Array, "6 6"]:

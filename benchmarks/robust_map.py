@@ -1,0 +1,123 @@
+"""`python -m benchmarks.robust_map`: the batch estimator over many runs at once, beside recursions; into robust_map.md.
+
+Compile time (tracing and XLA) apart from run time; all in one process. Run on an idle machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+
+from benchmarks.machine import machine  # noqa: E402
+from jaxalign.batch import ImuErrors, RobustMap  # noqa: E402
+from jaxalign.methods import build  # noqa: E402
+from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth  # noqa: E402
+
+RUNS, LANES, READOUTS = 1000, 50, 5
+SCENARIO = "dvl-sturn"
+OTHERS = ("oba", "centred_oba", "revising_oba")
+GRADIENTS = 100
+
+
+def timed(call: Callable[[], Any], times: int = 2) -> tuple[float, float]:
+    """Seconds of the first call, and the smallest of some more."""
+    seconds = []
+    for _ in range(1 + times):
+        start = time.perf_counter()
+        jax.block_until_ready(call())
+        seconds.append(time.perf_counter() - start)
+    return seconds[0], min(seconds[1:])
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "robust_map.md")
+    parser.add_argument("--runs", type=int, default=RUNS)
+    options = parser.parse_args()
+    made = scenario(SCENARIO, outliers="fixed")
+    intervals = intervals_of(truth(made), made.aid_every)
+    devices = jax.devices()
+    runs = options.runs // (LANES * len(devices)) * LANES * len(devices)
+    keys = jax.random.split(jax.random.key(0), runs)
+    epochs = jax.block_until_ready(jax.jit(jax.vmap(lambda key: measure_epochs(intervals, made, key)))(keys))
+    every = made.epochs // READOUTS
+    robust = RobustMap(imu=ImuErrors.of(made))
+
+    def solver(method: Any, count: int) -> Callable[[], Any]:
+        mesh = Mesh(np.array(devices[:count]), ("runs",))
+        spec = PartitionSpec("runs")
+
+        def some(part: Any) -> Any:
+            return jax.lax.map(lambda e: method.solve(e, every).q_nb, part, batch_size=LANES)
+
+        whole = jax.jit(jax.shard_map(some, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+        placed = jax.device_put(epochs, jax.sharding.NamedSharding(mesh, spec))
+        return lambda: whole(placed)
+
+    lines = [
+        "# The batch estimator",
+        "",
+        f"Written by `python -m benchmarks.robust_map` on {machine()}.",
+        "",
+        f"{runs} runs of {SCENARIO} ({made.epochs} epochs, 2 % outliers) in one call, read out at 0, {every}, ... "
+        f"{made.epochs}: {READOUTS} attitudes each and the start; {LANES} runs at a time. Smallest of 2 calls.",
+        "",
+        "| method | cores | compile s | run s | ms per run | over oba |",
+        "|---|---|---|---|---|---|",
+    ]
+    base: dict[int, float] = {}
+    for label, method in {**{name: build(name, "body") for name in OTHERS}, "robust_map": robust}.items():
+        for count in sorted({1, len(devices)}):
+            first, run = timed(solver(method, count))
+            base.setdefault(count, run)
+            cells = f"{first - run:.1f} | {run:.2f} | {1e3 * run / runs:.2f} | {run / base[count]:.1f}"
+            lines.append(f"| {label} | {count} | {cells} |")
+            print(lines[-1], flush=True)
+
+    few = jax.tree.map(lambda x: x[:GRADIENTS], epochs)
+    direction = jnp.array([0.3, -0.5, 1.0])
+
+    def loss(numbers: Any, one: Any) -> Any:
+        imu = ImuErrors(*numbers)
+        found = RobustMap(imu=imu).until(one, views_of(one), len(one.rows.dt) - 1)
+        return jnp.dot(direction, found.q_nb[1:]) ** 2
+
+    numbers = jnp.array([float(x) for x in jax.tree.leaves(robust.imu)])
+    value = jax.jit(lambda: jax.lax.map(lambda e: loss(numbers, e), few, batch_size=LANES))
+    slope = jax.jit(lambda: jax.lax.map(lambda e: jax.grad(loss)(numbers, e), few, batch_size=LANES))
+    (_, plain), (first, reverse) = timed(value), timed(slope)
+    finite = bool(jnp.all(jnp.isfinite(slope())))
+    lines += [
+        "",
+        f"Reverse mode, {GRADIENTS} runs, one attitude at the end, by the four figures of the inertial unit: "
+        f"{1e3 * reverse / GRADIENTS:.0f} ms per run, {reverse / plain:.1f} times the value's "
+        f"{1e3 * plain / GRADIENTS:.0f} (compile {first - reverse:.0f} s); all finite: {finite}.",
+        "",
+    ]
+    options.out.write_text("\n".join(lines))
+    print(lines[-2])
+    print(f"wrote {options.out}")
+
+
+def views_of(epochs: Any) -> Any:
+    """What the start needs."""
+    from jaxalign.batch.start import views
+
+    return views(epochs)
+
+
+if __name__ == "__main__":
+    main()
