@@ -1,6 +1,7 @@
 """A method chosen by what a log holds."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -90,11 +91,19 @@ def test_bad_input():
 def test_command(tmp_path, capsys):
     """It says what it chose and why; rows at most 50; its file makes the method again."""
     path, out = tmp_path / "log.npz", tmp_path / "out.npz"
-    write_npz(simulate("dvl-sturn", seed=1), path)
+    write_npz(simulate("dvl-sturn", seed=1, outliers="fixed"), path)
     assert main(["align", str(path), "--output", str(out), "--aligned", "0.5"]) == 0
     printed = capsys.readouterr().out
-    for words in ("method robust_map", "misalignment are among the unknowns", "navigation, the finest", "ALIGNED from"):
+    for words in (
+        "method robust_map",
+        "misalignment are among the unknowns",
+        "navigation, the finest",
+        "ALIGNED from",
+        "its sd deg",
+    ):
         assert words in printed
+    assert re.search(r"of the aid: scale factor \S+ \+- \S+ %, misalignment (\S+ \+- \S+,? ){3}deg", printed)
+    assert "do not trust" not in printed
     with np.load(out) as z:
         assert len(z["t"]) == 51
         assert z["calibration"].shape == (51, 4)

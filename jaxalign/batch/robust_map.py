@@ -115,14 +115,14 @@ class RobustMap(eqx.Module):
         if self.calibrate != "none":
             for part in self.calibrate.split("+"):
                 check_choice("calibrate", part, _PARTS)
-        if "mounting" in self._unknown and self.aid != "body":
+        if "mounting" in self.unknown and self.aid != "body":
             raise UserError("calibrate: scale and misalignment are those of a body aid: leave mounting out")
-        if self._unknown and self.aid == "static":
+        if self.unknown and self.aid == "static":
             raise UserError("calibrate: a standing vehicle has no aid to calibrate")
 
     @property
-    def _unknown(self) -> dict[str, slice]:
-        """Where the unknowns of the aid are, by name."""
+    def unknown(self) -> dict[str, slice]:
+        """Where in ``Solution.filter.calibration`` the unknowns of the aid are, by name."""
         out, end = {}, 0
         for name, size in _PARTS.items():
             if name in self.calibrate.split("+"):
@@ -151,7 +151,7 @@ class RobustMap(eqx.Module):
             "latency": [(1, self.latency_sd)],
             "lever": [(3, self.lever_sd)],
         }
-        for name in self._unknown:
+        for name in self.unknown:
             parts += known[name]
         mean.append(-calibration)
         sd = jnp.concatenate([jnp.full(n, 1.0) * x for n, x in parts])
@@ -197,7 +197,7 @@ class RobustMap(eqx.Module):
     def _solved(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> Any:
         """One Gauss-Newton step but for taking it: path, measurements, their variances, prior, filter."""
         path = navigated(epochs, state.guess).until(last)
-        unknown = {name: state.calibration[where] for name, where in self._unknown.items()}
+        unknown = {name: state.calibration[where] for name, where in self.unknown.items()}
         smooth = path.velocity if state.smooth is None else state.smooth
         measured = fixes(path, epochs.rows.velocity, used, self.aid, smooth=smooth, **unknown)
         each = state.variance * state.times / jnp.where(used, jnp.maximum(state.weight, _LEAST), 1.0)
@@ -258,7 +258,7 @@ class RobustMap(eqx.Module):
         off = misfit(*seen, guess, self.aid)
         variance = jax.lax.stop_gradient(self._scaled(off.array, used, stated))
         _, weight = self._weighed(off.array, variance, used)
-        calibration = jnp.zeros(sum(_PARTS[name] for name in self._unknown))
+        calibration = jnp.zeros(sum(_PARTS[name] for name in self.unknown))
         smooth = navigated(epochs, guess).velocity if self.aid == "nav" else None
         state = _State(guess, calibration, jax.lax.stop_gradient(weight), variance, jnp.ones(()), smooth)
         first = self._iterated(epochs, used, last, stated, state)

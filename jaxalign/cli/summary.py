@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxalign.batch import RobustMap
 from jaxalign.cli.report import table
 from jaxalign.log import Log
 from jaxalign.metrics import attitude_error_deg
@@ -29,6 +30,12 @@ def _slot(method: Any, name: str) -> Any:
     return getattr(getattr(method, "observe", method), name, None)
 
 
+def _used(solution: Solution, method: Any) -> np.ndarray:
+    """Rows whose vector counts; the batch estimator leaves outliers a little weight."""
+    least = 0.5 if isinstance(method, RobustMap) else 0.0
+    return np.asarray(solution.defined) & (np.asarray(solution.weight) > least)
+
+
 def misfit(solution: Solution, method: Any, interval: float) -> float:
     """RMS of the residual across the vector, per axis, in standard deviations of the noise assumed.
 
@@ -43,14 +50,16 @@ def misfit(solution: Solution, method: Any, interval: float) -> float:
     Returns:
         The ratio; NaN where there are fewer than three vectors.
     """
-    used = np.asarray(solution.defined) & (np.asarray(solution.weight) > 0)
+    used = _used(solution, method)
     alpha, residual = np.asarray(solution.alpha)[used], np.asarray(solution.residual)[used]
     time, sd = np.asarray(solution.time)[used], float(solution.aid_sd[-1])
     if len(alpha) < 3:
         return float("nan")
     direction = alpha / np.linalg.norm(alpha, axis=1, keepdims=True)
     across = residual - np.sum(residual * direction, axis=1, keepdims=True) * direction
-    if method.aid != "static":
+    if isinstance(method, RobustMap):
+        pass  # its residuals are those of single velocities, also of a standing vehicle
+    elif method.aid != "static":
         sd *= np.sqrt(2.0)  # two velocities in each vector
     elif _slot(method, "vectors") == "integrated":
         across = np.diff(across, axis=0) / np.sqrt(np.diff(time) / interval)[:, None]
@@ -60,7 +69,9 @@ def misfit(solution: Solution, method: Any, interval: float) -> float:
 def _attitudes(log: Log, solution: Solution, error: np.ndarray | None) -> str:
     numbers = solution.to_numpy()
     time, status = numbers["t"] + log.t0, numbers["status"]
-    head = ["time s", "pitch deg", "roll deg", "heading deg", "observable", "residual m/s"]
+    sd = numbers.get("euler_sd_deg")
+    deviation = [] if sd is None else ["its sd deg"]
+    head = ["time s", "pitch deg", "roll deg", "heading deg", *deviation, "observable", "residual m/s"]
     rows = []
     for k in np.unique(np.linspace(min(1, len(time) - 1), len(time) - 1, _ROWS).round().astype(int)):
         pitch, roll, _ = numbers["euler_deg"][k]
@@ -71,6 +82,7 @@ def _attitudes(log: Log, solution: Solution, error: np.ndarray | None) -> str:
                 f"{pitch:.4f}",
                 f"{roll:.4f}",
                 f"{numbers['heading_deg'][k]:.3f}",
+                *([] if sd is None else [f"{sd[k, 2]:.3f}"]),
                 "yes" if numbers["observable"][k] else "no",
                 "no aid" if status[k] & Status.AID_MISSING else f"{size:.4f}",
             ]
@@ -84,6 +96,7 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
     """How far to trust the heading."""
     out = []
     time, seen = np.asarray(solution.time) + log.t0, np.asarray(solution.observable)
+    batch = isinstance(method, RobustMap)
     noise = "noise of the force" if method.aid == "static" else "noise of the aid"
     if not solution.defined[-1]:
         out.append("NO ATTITUDE to the end: the method never saw two directions (log too short for its averaging?)")
@@ -91,7 +104,10 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
         first = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else 0
         steps = np.diff(np.asarray(solution.time))
         sparse = " (rows are that far apart)" if steps.size and steps.max() > 1.5 * interval else ""
-        out.append(f"heading observable from {time[first]:.1f} s on{sparse}, as far as the {noise} is concerned")
+        rest = ": its standard deviation is below 20 deg" if batch else f", as far as the {noise} is concerned"
+        out.append(f"heading observable from {time[first]:.1f} s on{sparse}{rest}")
+    elif batch:
+        out.append("heading NOT observable: its standard deviation is above 20 deg; pitch and roll only")
     else:
         out.append(f"heading NOT observable: the directions never open beyond the {noise}; pitch and roll only")
     ratio = misfit(solution, method, interval)
@@ -105,14 +121,16 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
             f"  but the vectors miss by {ratio:.0f} times that noise: slow errors rule (sensor biases, drift of the "
             "aid, disturbance): the heading is less certain than the noise alone would make it"
         )
-    used = np.asarray(solution.defined) & (np.asarray(solution.weight) > 0)
+    used = _used(solution, method)
     if used.any():
         size = np.linalg.norm(np.asarray(solution.residual)[used], axis=1) / np.sqrt(3)
         fitted = not isinstance(getattr(method, "reconstruct", Measured()), Measured)
         note = " (of reconstructed vectors: they hide outliers and biases)" if fitted else ""
         out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s{note}")
     if solution.sd is not None and solution.filter is not None and solution.defined[-1]:
-        out += _belief(solution.sd, solution.filter, getattr(method, "prefilter", None) is not None)
+        if not batch:
+            out += _belief(solution.sd, solution.filter, getattr(method, "prefilter", None) is not None)
+        out += _found(solution.filter, getattr(method, "unknown", {}))
     if method.aid != "static" and log.missing.any():
         out.append(f"aid missing at {int(log.missing.sum())} of {log.epochs + 1} of its epochs: skipped and bridged")
     singular = (np.asarray(solution.status) & Status.SINGULAR) != 0
@@ -151,7 +169,6 @@ def _sure(solution: Solution, t0: float, aligned: float | None, filtered: bool) 
 def _belief(sd: Any, told: FilterRecord, filtered: bool) -> list[str]:
     """What the filter says of itself."""
     east, north, up = np.rad2deg(np.asarray(sd)[-1])
-    gyro, accel = np.asarray(told.gyro_bias)[-1], np.asarray(told.accel_bias)[-1]
     out = [f"the filter's own standard deviations: east {east:.4f}, north {north:.4f}, heading {up:.4f} deg"]
     out += _surprise(told, filtered)
     first = np.rad2deg(np.asarray(sd)[1, 2]) if len(sd) > 1 else np.inf
@@ -159,11 +176,29 @@ def _belief(sd: Any, told: FilterRecord, filtered: bool) -> list[str]:
         out.append(
             "  the heading is hardly better known than at its start: it is the coarse one, give it a longer record"
         )
-    gyro_deg_h, accel_ug = gyro / DEG_H, accel / UG
-    out.append(
-        f"  biases (right, forward, up): gyros {_numbers(gyro_deg_h)} deg/h, accelerometers {_numbers(accel_ug)} ug"
-    )
     return out
+
+
+def _found(told: FilterRecord, unknown: dict[str, slice]) -> list[str]:
+    """Biases, and what was found of the aid with its standard deviations."""
+    gyro, accel = np.asarray(told.gyro_bias)[-1] / DEG_H, np.asarray(told.accel_bias)[-1] / UG
+    out = [f"  biases (right, forward, up): gyros {_numbers(gyro)} deg/h, accelerometers {_numbers(accel)} ug"]
+    if told.calibration is None:
+        return out
+    values = np.asarray(told.calibration)[-1]
+    sd = np.sqrt(np.diagonal(np.asarray(told.covariance)[-1])[-len(values) :])
+
+    def shown(where: slice, scale: float = 1.0) -> str:
+        return ", ".join(f"{scale * x:.3g} +- {scale * s:.2g}" for x, s in zip(values[where], sd[where], strict=True))
+
+    parts = []
+    for name, where in unknown.items():
+        if name == "mounting":
+            scale, turn = slice(where.start, where.start + 1), slice(where.start + 1, where.stop)
+            parts.append(f"scale factor {shown(scale, 100.0)} %, misalignment {shown(turn, np.rad2deg(1.0))} deg")
+        else:
+            parts.append({"latency": f"latency {shown(where)} s", "lever": f"lever arm {shown(where)} m"}[name])
+    return [*out, f"  of the aid: {'; '.join(parts)}"]
 
 
 def _surprise(told: FilterRecord, filtered: bool) -> list[str]:
