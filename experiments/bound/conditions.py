@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from experiments.monte_carlo import monte_carlo
@@ -118,6 +119,8 @@ def ratios(name: str, label: str | None, runs: int, seed: int) -> Ratios:
     phi = {x: np.where(np.isfinite(errors.phi), errors.phi, 180.0) for x, errors in found.items()}
     rms = {x: np.sqrt(np.mean(p**2, axis=0)) / limit for x, p in phi.items()}
     high = {x: np.percentile(np.abs(p), 99, axis=0) / limit for x, p in phi.items()}
+    if label in (None, list(CONDITIONS)[-1]):
+        jax.clear_caches()  # conditions share programs, scenarios do not
     return Ratios(time, limit, rms, high, count)
 
 
