@@ -124,6 +124,12 @@ def recipes_table(logs: list[Log], aid: str) -> list[str]:
     return [*out, f"| RMS of all draws | | {' | '.join(pooled)} |"]
 
 
+def fresh(rows: list[str]) -> list[str]:
+    """The rows, and room for further programs: all of them together are more than a process may map."""
+    jax.clear_caches()
+    return rows
+
+
 def heading_error(method: Any, log: Log, sd: float) -> float:
     """Deg, at 300 s."""
     solution = align(method, log, every=10, aid_sd=sd)
@@ -250,27 +256,27 @@ def report(data: Path) -> str:
         "",
         "The gyro of the real logs is rounded to 1e-4 rad/s; that, not the DVL, sets the heading error.",
         "",
-        *moving_table(auv),
+        *fresh(moving_table(auv)),
         "",
         "Every recipe: heading error in deg at 300 s as the log is, and in brackets the median and the largest size of",
         f"{DRAWS} draws with outliers: {100 * OUTLIERS:g} % of the velocities after the first, noise times {FACTOR:g}.",
         "",
-        *recipes_table(auv, "body"),
+        *fresh(recipes_table(auv, "body")),
         "",
         "The same logs with the reference's velocity in n for an aid (hardly any noise), which is what a GNSS receiver",
         "would give; outliers as above.",
         "",
-        *recipes_table([satellite_like(path) for path in paths], "nav"),
+        *fresh(recipes_table([satellite_like(path) for path in paths], "nav")),
         "",
         "## Ring-laser unit on a standing, disturbed vehicle (no reference; the file's header says yaw -90.6)",
         "",
-        *standing_table(laser),
+        *fresh(standing_table(laser)),
         "",
         "`triad` takes the base as not turning, which it does: the same failure as the toolbox's averaging method.",
         "",
         "## Car: tactical MEMS unit and GNSS velocity, windows of 60 s started every 10 s with |v_end - v_0| > 8 m/s",
         "",
-        *window_table(car, np.asarray(bias)),
+        *fresh(window_table(car, np.asarray(bias))),
         "",
         "The gyro bias (140 deg/h) hides the Earth rate; the heading comes from the accelerations. `auto` takes the",
         "unit for what it is, and finds its biases and the lever arm to the antenna (1.7 m), a larger error than the",
@@ -278,11 +284,11 @@ def report(data: Path) -> str:
         "",
         "## Car, nearly straight: MEMS unit and FOG reference, 100 s",
         "",
-        *moving_table([mems]),
+        *fresh(moving_table([mems])),
         "",
         "Every recipe at the end, as the log is and with outliers as above:",
         "",
-        *recipes_table([mems], "nav"),
+        *fresh(recipes_table([mems], "nav")),
         "",
         "The bias of the gyro (140-290 deg/h) and a nearly straight drive leave tens of degrees to a method without",
         "biases. With them, and a lever arm of 0.15 m, the accelerations do tell the heading, to what is stated:",
