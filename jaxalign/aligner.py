@@ -298,9 +298,12 @@ def estimate_aid_sd(epochs: Epochs) -> float:
     valid = np.asarray(found.status) & int(Status.AID_MISSING) == 0
     sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid, walk=observe.steps)
     if sd is None:
-        raise UserError(
-            "too few velocities to estimate the noise of the aid: state it (aid_sd of the log, --aid-sd), m/s"
+        what = (
+            "epochs to estimate the noise of the force"
+            if epochs.aid == "static"
+            else "velocities to estimate the aid's"
         )
+        raise UserError(f"too few {what}: state it (aid_sd of the log, --aid-sd), m/s")
     return sd
 
 

@@ -18,7 +18,8 @@ __all__ = ["NAME", "Choice", "choose"]
 
 NAME = "robust_map"
 _MARGIN = 6.0  # of the log-likelihood: 400 to 1
-_STEP = 1.0  # s, between epochs of a standing vehicle
+_STEP, _FINE = 1.0, 0.2  # s, between epochs of a standing vehicle; where biases are large and it may sway
+_LEAST = 20  # of them
 _COARSE = 1.0  # deg/h: gyroscopes that may hide a part of the Earth's rate
 _STARTS = 4
 _BEYOND = 3.0  # times its standard deviation beforehand, a bias is none of that grade
@@ -72,7 +73,7 @@ def choose(
         raise UserError(f"{log!r} is no Log: a method is chosen by what a log holds; read one with jaxalign.read(path)")
     if imu is not None and not isinstance(imu, ImuErrors):
         raise UserError(f"imu = {imu!r}: must be ImuErrors, for instance imu_errors('tactical')")
-    settings = {"calibrate": _UNKNOWNS[log.aid], "interval_samples": _interval(log), **(parameters or {})}
+    settings = {"calibrate": _UNKNOWNS[log.aid], "interval_samples": _interval(log, _STEP), **(parameters or {})}
     given = sorted(x for x in parameters or {} if x.startswith("imu."))
     if given:
         raise UserError(
@@ -83,7 +84,9 @@ def choose(
     def chosen(imu: ImuErrors, grade: str | None, why: tuple[str, ...]) -> Choice:
         coarse = float(imu.gyro_bias_deg_h) > _COARSE
         starts = _STARTS if coarse and "starts" not in settings else base.starts
-        return Choice(NAME, dataclasses.replace(base, imu=imu, starts=starts), grade, (*reasons, *why))
+        samples = _interval(log, _FINE) if coarse and "interval_samples" not in (parameters or {}) else None
+        method = dataclasses.replace(base, imu=imu, starts=starts, interval_samples=samples or base.interval_samples)
+        return Choice(NAME, method, grade, (*reasons, *why))
 
     reasons = (f"aid: {_AIDS[log.aid]}",)
     if imu is not None:
@@ -92,9 +95,10 @@ def choose(
     return chosen(imu_errors(grade), grade, why)
 
 
-def _interval(log: Log) -> int | None:
-    """IMU samples between epochs."""
-    return min(max(round(_STEP / log.dt), 1), len(log.dtheta)) if log.aid == "static" else None
+def _interval(log: Log, step: float) -> int | None:
+    """IMU samples between epochs so far apart (s), of a standing vehicle."""
+    step = min(step, log.duration / _LEAST)
+    return max(round(step / log.dt), 1) if log.aid == "static" else None
 
 
 def _grade(base: RobustMap, log: Log, aid_sd: Any) -> tuple[str, tuple[str, ...]]:
@@ -109,7 +113,7 @@ def _grade(base: RobustMap, log: Log, aid_sd: Any) -> tuple[str, tuple[str, ...]
         if bool(solution.defined[-1]):
             likelihood[grade] = float(np.asarray(solution.filter.log_likelihood)[-1])
     if not likelihood:
-        return coarsest, (f"inertial unit: {coarsest}, as the log is too short to tell",)
+        return coarsest, (f"inertial unit: {coarsest}, as the log has too few fixes to tell",)
     best = max(likelihood.values())
     grade = next(x for x, value in likelihood.items() if value > best - _MARGIN)
     told = ", ".join(f"{x} {value - best:.1f}" for x, value in likelihood.items())

@@ -224,6 +224,8 @@ def build(
             a prefilter with a velocity aid.
     """
     if name not in RECIPES:
+        if name == "auto":
+            raise UserError("auto is a choice for one log: `jaxalign align`, or jaxalign.choose(log)")
         near = close_names(name, RECIPES)
         hint = f"did you mean {', '.join(near)}?" if near else f"there are {', '.join(RECIPES)}"
         raise UserError(f"no method {name!r}: {hint}")

@@ -93,15 +93,16 @@ class Solution(eqx.Module):
             :class:`jaxalign.spread.Spread`. It knows nothing of
             sensor biases or of a disturbance that is not white.
         eigengap: (K,) relative gap of the 4x4 problem (0 where the method has none); it measures aid noise early on.
-        residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0.
+        residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0
+            (``robust_map``: the noise of its fix).
         weight: (K,) of that pair; 0 where there is none (aid missing here or at the other end of a window).
         alpha: (K, 3) the vector in n0, m/s.
         beta: (K, 3) the vector in b0, m/s, after reconstruction.
         covariance: (K, 3, 3) of the attitude error in n (east, north, up), rad^2, where it is known; else None. What it
             rests on: the filter's model (``fine``), the sensor model (``robust_map``, :func:`jaxalign.assess`).
         status: (K,) bits, see :class:`Status`.
-        aid_sd: (K,) the aid's noise that was assumed, m/s, in every row.
-        filter: biases, covariance and innovations of a method with an error model (``fine``); else None.
+        aid_sd: (K,) the aid's noise that was assumed (``robust_map``: found), m/s.
+        filter: biases, covariance and innovations of ``robust_map`` and ``fine``; else None.
     """
 
     time: Float[Array, "*K"]

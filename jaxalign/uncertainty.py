@@ -115,8 +115,8 @@ def assess(
     seems to have.
 
     A method that knows its covariance is left to it: ``robust_map`` takes ``imu`` as its own, ``fine`` has its own
-    figures. ``Status.INDICATIVE`` marks rows behind a prefilter, which colours the noise, and those with a heading open
-    by more than 20 deg, which is no small angle: there, with outliers, an interval of 95 % may hold 65 %.
+    figures. ``Status.INDICATIVE`` marks rows behind a prefilter, which colours the noise, and those of an ensemble with
+    a heading open by more than 20 deg, which is no small angle: an interval of 95 % may hold 65 % there.
 
     Args:
         method: see :func:`jaxalign.align`.
@@ -137,14 +137,14 @@ def assess(
     if isinstance(getattr(method, "imu", None), ImuErrors):
         method = dataclasses.replace(method, imu=imu)
     found = align(method, log, every, aid_sd)
-    if found.covariance is None:
+    if not method.has_covariance:
         epochs = epochs_for(method, log, found.aid_sd[-1])
         bare = without_prefilter(method)
         count = -(-int(draws) // _LANES) * _LANES
         covariance = ensemble_covariance(bare, epochs, imu, found, int(every), count, jax.random.key(seed))
         found = dataclasses.replace(found, covariance=covariance)
-    assert found.covariance is not None
-    hint = found.defined & ~(found.covariance[..., 2, 2] < _WIDE**2)
-    if getattr(method, "prefilter", None) is not None:
-        hint = jnp.ones_like(hint)
+    hint = jnp.full_like(found.defined, getattr(method, "prefilter", None) is not None)
+    if not method.has_covariance:
+        assert found.covariance is not None
+        hint = hint | (found.defined & ~(found.covariance[..., 2, 2] < _WIDE**2))
     return dataclasses.replace(found, status=found.status | jnp.where(hint, jnp.int32(int(Status.INDICATIVE)), 0))

@@ -65,7 +65,7 @@ def test_too_short_to_tell():
     log = dataclasses.replace(log, velocity=np.where(np.arange(4)[:, None] % 2, np.nan, log.velocity))
     choice = choose(log)
     assert choice.grade == "mems"
-    assert "too short" in choice.reasons[-1]
+    assert "too few fixes" in choice.reasons[-1]
 
 
 def test_a_unit_beyond_all_grades_is_told():

@@ -46,7 +46,7 @@ def best_of(
 
     Returns:
         Which is best, and the mean square of the attitude about it. Solutions that several starts have led to count
-        once.
+        once; NaN where no likelihood is finite.
     """
     finite = jnp.isfinite(log_likelihood)
     level = jnp.where(finite, log_likelihood, -jnp.inf)
@@ -61,4 +61,5 @@ def best_of(
     away = phi[best]
     square = tilt + away[:, :, None] * away[:, None, :]
     square = jnp.where((share > 0)[:, None, None], square, 0.0)
-    return best, jnp.einsum("i,ijk->jk", share, square) / jnp.maximum(jnp.sum(share), 1.0)
+    mean = jnp.einsum("i,ijk->jk", share, square) / jnp.maximum(jnp.sum(share), 1.0)
+    return best, jnp.where(jnp.any(finite), mean, jnp.nan)

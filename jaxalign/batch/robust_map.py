@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 
 from jaxalign.aligner import align
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import ACCEL, GYRO, TILT, UNKNOWN, Guess, navigated
+from jaxalign.batch.model import ACCEL, GYRO, SPEED, TILT, UNKNOWN, Guess, Path, navigated
 from jaxalign.batch.modes import best_of, turned, turns
-from jaxalign.batch.smoother import Prior, filtered, fixes, settled, smoothed
+from jaxalign.batch.smoother import Filtered, Measured, Prior, filtered, fixes, settled, smoothed
 from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.epochs import Aid, Epochs, epochs_from_log
 from jaxalign.errors import UserError
@@ -67,7 +67,14 @@ class RobustMap(eqx.Module):
     Unknown are attitude, first velocity, the biases of the inertial unit (with priors) and its white noise. The noise
     of a fix is normal, or with a small probability normal with a much larger standard deviation: each fix counts by the
     probability that it is none of those, found together with the rest (iterated reweighting). One Gauss-Newton step is
-    a Kalman filter forth and a smoother back over the errors of a navigated path.
+    a Kalman filter forth and a smoother back over the errors of a navigated path. Derivatives hold where it has
+    converged.
+
+    A standing vehicle has the velocity zero; the noise is then its disturbance, and the stated figure (of the force
+    over an interval, ``Epochs.aid_sd``) the least of it.
+
+    In its solutions ``aid_sd`` is the noise found (white noise with the same density at low frequencies), ``residual``
+    the noise of the fix of that row, and ``filter.covariance`` that of the best solution, where there are several.
 
     Attributes:
         imu: figures of the inertial unit.
@@ -112,9 +119,11 @@ class RobustMap(eqx.Module):
         check_interval(self.interval_samples)
         for name in ("starts", "iterations"):
             check_count(name, getattr(self, name))
-        if self.calibrate != "none":
-            for part in self.calibrate.split("+"):
-                check_choice("calibrate", part, _PARTS)
+        parts = [] if self.calibrate == "none" else str(self.calibrate).split("+")
+        if not set(parts) <= set(_PARTS) or len(set(parts)) < len(parts):
+            raise UserError(
+                f"calibrate = {self.calibrate!r}: must be none, or some of {', '.join(_PARTS)}, each once, joined by +"
+            )
         if "mounting" in self.unknown and self.aid != "body":
             raise UserError("calibrate: scale and misalignment are those of a body aid: leave mounting out")
         if self.unknown and self.aid == "static":
@@ -142,9 +151,11 @@ class RobustMap(eqx.Module):
         """See :func:`jaxalign.align`."""
         return align(self, log, every)
 
-    def _prior(self, guess: Guess, calibration: Any, stated: Any) -> Prior:
+    def _prior(self, state: _State, stated: Any) -> Prior:
+        guess, calibration = state.guess, state.calibration
+        noise = jnp.sqrt(jnp.maximum(stated**2, jax.lax.stop_gradient(state.variance)))
         imu, mounting = self.imu, jnp.deg2rad(self.mounting_sd_deg)
-        parts = [(3, UNKNOWN), (3, _FREE * stated), (3, imu.gyro_bias), (3, imu.accel_bias)]
+        parts = [(3, UNKNOWN), (3, _FREE * noise), (3, imu.gyro_bias), (3, imu.accel_bias)]
         mean = [jnp.zeros(6), -guess.gyro.array, -guess.accel.array]
         known = {
             "mounting": [(1, self.scale_sd), (3, mounting)],
@@ -194,15 +205,24 @@ class RobustMap(eqx.Module):
             variance = jnp.maximum(variance, stated**2)
         return variance, self._persistence(noise, good, variance)
 
+    def _measured(self, epochs: Epochs, used: Any, path: Path, state: _State, smooth: Vec3 | None) -> Measured:
+        unknown = {name: state.calibration[where] for name, where in self.unknown.items()}
+        return fixes(path, epochs.rows.velocity, used, self.aid, smooth=smooth, **unknown)
+
     def _solved(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> Any:
         """One Gauss-Newton step but for taking it: path, measurements, their variances, prior, filter."""
         path = navigated(epochs, state.guess).until(last)
-        unknown = {name: state.calibration[where] for name, where in self.unknown.items()}
-        smooth = path.velocity if state.smooth is None else state.smooth
-        measured = fixes(path, epochs.rows.velocity, used, self.aid, smooth=smooth, **unknown)
+        measured = self._measured(epochs, used, path, state, state.smooth)
         each = state.variance * state.times / jnp.where(used, jnp.maximum(state.weight, _LEAST), 1.0)
-        prior = self._prior(state.guess, state.calibration, stated)
+        prior = self._prior(state, stated)
         return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
+
+    def _log_likelihood(self, found: Filtered, prior: Prior, used: Any, state: _State) -> Any:
+        """Of the mixture, the first velocity being free: without its prior, with the odds of the outliers."""
+        wide = self.spread**2
+        bad = jnp.where(used, 1.0 - (state.weight - 1.0 / wide) / (1.0 - 1.0 / wide), 0.0)
+        odds = jnp.sum(bad) * jnp.log(self.outliers / (1.0 - self.outliers))
+        return found.log_likelihood + 0.5 * jnp.sum(jnp.log(prior.variance[SPEED])) + odds
 
     def _iterated(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> _Found:
         """From a start to a solution."""
@@ -215,21 +235,23 @@ class RobustMap(eqx.Module):
             variance = jnp.where(early, self._scaled(noise, used, stated), state.variance)
             good, weight = self._weighed(noise, variance, used)
             late, times = self._estimated(noise, good, stated)
-            spread = jnp.where(early, variance, late * times)
-            smooth = settled(path.velocity + Vec3.of(measured.gap - noise), good, spread)
             new = _State(
                 state.guess.moved(error),
                 state.calibration + error[12:],
                 weight,
                 jnp.where(early, variance, late),
                 jnp.where(early, 1.0, times),
-                None if state.smooth is None else smooth,
+                None if state.smooth is None else path.velocity + Vec3.of(measured.gap - noise),
             )
             return new, noise[last]
 
         state, noise = jax.lax.scan(step, state, jnp.arange(self.iterations))
-        path, _, _, _, found = self._solved(epochs, used, last, stated, state)
+        path, measured, each, prior, found = self._solved(epochs, used, last, stated, state)
         error, covariance = found.mean[0], found.covariance[0]
+        if state.smooth is not None:
+            smooth = settled(state.smooth, measured, each, found)
+            surer = self._measured(epochs, used, path, state, smooth)
+            covariance = filtered(path, surer, each, self.imu, prior).covariance[0]
         at = jax.tree.map(lambda x: x[last], path)
         q_n0b = (Quat.exp(Vec3.of(error[TILT])) * at.q_n0b).unit()
         turn = at.q_n0n.matrix.array
@@ -237,7 +259,7 @@ class RobustMap(eqx.Module):
             state.guess.gyro.array + error[GYRO],
             state.guess.accel.array + error[ACCEL],
             covariance,
-            log_likelihood=found.log_likelihood,
+            log_likelihood=self._log_likelihood(found, prior, used, state),
             calibration=state.calibration + error[12:],
         )
         return _Found(

@@ -18,9 +18,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.model import Path, back, forth, skew
-from jaxalign.vector import Vec3
+from jaxalign.vector import Vec3, root
 
 __all__ = ["Filtered", "Measured", "Prior", "filtered", "fixes", "settled", "smoothed"]
+
+
+_SETTLED = 3.0  # times the variance that is left, a squared change may well be noise
 
 
 class Prior(eqx.Module):
@@ -95,9 +98,10 @@ def fixes(
 ) -> Measured:
     """The velocities of an aid along a path.
 
-    The path wanders off with the noise of the inertial unit. What a tilt does to a velocity is therefore taken at the
-    velocity known best (the aid's own turned into n0, zero, or ``smooth``), not at that of the path: a heading that is
-    wide open would otherwise be told from turned noise.
+    The path wanders off with the noise of the inertial unit, and a tilt of the whole history turns that wandering too.
+    What it does to a measurement is therefore taken at the velocity known best, not at that of the path, or a heading
+    that is wide open would be told from turned noise: a body aid and a standing vehicle measure in a frame that turns
+    along (the tilt acts on the whole velocity of the path), a navigation aid does not (on what it is off ``smooth``).
 
     Args:
         path: guessed.
@@ -108,22 +112,22 @@ def fixes(
             ``v_measured = (1 + scale) (v - misalignment x v)``.
         latency: s, of the aid so far, one more unknown: it measures the velocity of so long ago.
         lever: m, b, from the inertial unit to the aid so far, three more unknowns: it moves as the vehicle turns.
-        smooth: (K,) what the velocity is by all measurements so far, for a navigation aid; None: the path's.
+        smooth: (K,) what the velocity is by all measurements so far, for a navigation aid; None: that of the path.
     """
     v = path.velocity
     if mounting is not None:
         velocity = (velocity + Vec3.of(mounting[1:]).cross(velocity)) * (1.0 / (1.0 + mounting[0]))
     unit = jnp.broadcast_to(jnp.eye(3), (*v.x.shape, 3, 3))
     none = jnp.zeros_like(unit)
-    tilt = none
-    tilt = jax.vmap(skew)(v)
+    off = v
     if aid == "body":
         seen = path.q_n0b.rotate(velocity)
     elif aid == "nav":
         seen = path.q_n0n.rotate(velocity)
-        tilt = none if smooth is None else jax.vmap(skew)(v - smooth)
+        off = v - (v if smooth is None else smooth)
     else:
         seen = v * 0.0
+    tilt = jax.vmap(skew)(off)
     blocks = [tilt, unit, none, none]
     if mounting is not None:
         blocks += [v.array[..., None], tilt @ path.q_n0b.matrix.array]
@@ -140,17 +144,25 @@ def fixes(
     return Measured(jnp.where(there, (seen - v).array, 0.0), jnp.where(there[..., None], slope, 0.0))
 
 
-def settled(velocity: Vec3, weight: Float[Array, " K"], variance: Any) -> Vec3:
-    """(K,) velocities that an estimate with noise may be taken at: with the changes that noise may have made left out.
+def settled(velocity: Vec3, measured: Measured, variance: Float[Array, " K"], found: Filtered) -> Vec3:
+    """(K,) velocities to say how sure a heading is: without the part of their changes that is noise.
 
-    A vehicle that keeps its velocity says nothing of the heading, its noise would.
+    A vehicle that keeps its velocity says nothing of the heading, but the noise of its velocity would. For a step it is
+    the whole velocity that counts: the gap has the noise in it too.
+
+    Args:
+        velocity: (K,) smoothed, m/s, n0.
+        measured: that the filter had.
+        variance: likewise.
+        found: by the filter: slope times gain is what is left of the variance of a measurement after it.
     """
+    left = jnp.sum(measured.slope * found.gain, axis=(1, 2)) * variance
+    weight = jnp.any(measured.slope != 0, axis=(1, 2)) / variance
     total = jnp.maximum(jnp.sum(weight), 1e-300)
     mean = jax.tree.map(lambda x: jnp.sum(weight * x) / total, velocity)
     change = velocity - mean
-    size = change.norm2()
-    kept = jnp.maximum(1.0 - variance / jnp.maximum(size, 1e-300), 0.0)
-    return mean + change * kept
+    size = jnp.maximum(change.norm2(), 1e-300)
+    return mean + change * root(jnp.maximum(1.0 - _SETTLED * left / size, 0.0))
 
 
 def _noise(row: Path, imu: ImuErrors) -> Float[Array, "6 6"]:

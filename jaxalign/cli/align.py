@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,14 +124,16 @@ def _run(options: argparse.Namespace) -> int:
     solution = jax.block_until_ready(found)
 
     # Files first: a reader of the printed lines that leaves early (head) must not cost the results.
-    estimated = options.aid_sd is None and (log.aid_sd is None or log.aid != method.aid)
+    of_log = log.aid_sd if log.aid == method.aid else None
+    stated = of_log if options.aid_sd is None else options.aid_sd
+    estimated = stated is None
     written = []
     if options.output:
         recipe = {
             **method_entries(name, method),
             "every": every,
             "imu": options.imu,
-            "aid_sd": float(solution.aid_sd[-1]),
+            "aid_sd": float(solution.aid_sd[-1] if stated is None else stated),
             "aid_sd_from": "data" if estimated else "user" if options.aid_sd is not None else "log",
             "log": log.name,
             "jaxalign": jaxalign.__version__,
@@ -145,7 +148,7 @@ def _run(options: argparse.Namespace) -> int:
         with replacing(options.plot) as stream:
             figure.savefig(stream, format=Path(options.plot).suffix[1:].lower())
         written.append(options.plot)
-    lines = summary(log, name, method, solution, estimated, options.aligned, reasons)
+    lines = summary(log, name, method, solution, stated, options.aligned, reasons)
     for line in (*lines, *(f"wrote {path}" for path in written)):
         print(line)
     return 0
@@ -180,7 +183,7 @@ def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tup
         # A method for a standing vehicle ignores the aid; one that takes any aid takes the log's.
         kinds = RECIPES[name].aids if name in RECIPES else ()
         aid = "static" if kinds == ("static",) else log.aid
-        return name, build(name, aid, settings, options.prefilter), ()
+        return name, _with_imu(build(name, aid, settings, options.prefilter), imu), ()
     if options.method is not None or options.prefilter is not None:
         flag = "--method" if options.method is not None else "--prefilter"
         raise UserError(f"{flag} and --method-file: give one of them, the file says all of the method")
@@ -190,4 +193,11 @@ def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tup
             f"{options.method_file} holds {name} for a {method.aid!r} aid, but {log.name} has a {log.aid!r} aid: tune "
             "one for it, or name a method with --method"
         )
-    return name, with_parameters(method, settings), ()
+    return name, _with_imu(with_parameters(method, settings), imu), ()
+
+
+def _with_imu(method: Any, imu: ImuErrors | None) -> Any:
+    """With the figures of the inertial unit, if the method has any."""
+    from jaxalign.batch import RobustMap
+
+    return dataclasses.replace(method, imu=imu) if imu is not None and isinstance(method, RobustMap) else method

@@ -99,7 +99,8 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
     batch = isinstance(method, RobustMap)
     noise = "noise of the force" if method.aid == "static" else "noise of the aid"
     if not solution.defined[-1]:
-        out.append("NO ATTITUDE to the end: the method never saw two directions (log too short for its averaging?)")
+        why = "two directions (log too short for its averaging?)"
+        out.append(f"NO ATTITUDE to the end: the method never saw {'three usable fixes' if batch else why}")
     elif seen[-1]:
         first = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else 0
         steps = np.diff(np.asarray(solution.time))
@@ -231,7 +232,7 @@ def summary(
     name: str,
     method: Any,
     solution: Solution,
-    estimated: bool,
+    stated: float | None,
     aligned: float | None = None,
     reasons: Sequence[str] = (),
 ) -> list[str]:
@@ -242,22 +243,25 @@ def summary(
         name: of the method.
         method: itself.
         solution: what it found.
-        estimated: whether the noise was estimated from the log.
+        stated: noise of the aid, m/s; None: it was estimated from the log.
         aligned: threshold of the heading's standard deviation, deg.
         reasons: why the method was chosen.
     """
     interval = (_slot(method, "interval_samples") or log.aid_every) * log.dt
-    kind = "white noise of the aid"
+    kind, noise = "white noise of the aid", float(solution.aid_sd[-1])
     if method.aid == "static":
         kind = f"noise of the force, integrated over {interval:g} s,"
+    source = "estimated from the data" if stated is None else "as stated"
+    if isinstance(method, RobustMap):
+        kind = "disturbance of the velocity" if method.aid == "static" else "noise of the aid"
+        source = "by the data" if stated is None else f"by the data; stated: {stated:.2g}"
     prefilter = getattr(method, "prefilter", None)
     filtered = None if prefilter is None else _described(prefilter)
     error = attitude_error_deg(solution, log)
     pitch, roll, _ = solution.euler_deg[-1]
     out = [
         f"{log.name}: {_AIDS[log.aid]}, {log.duration:g} s, IMU {1 / log.dt:g} Hz, epochs of {interval:g} s",
-        f"method {name}; {kind} {float(solution.aid_sd[-1]):.2g} m/s "
-        f"({'estimated from the data' if estimated else 'as stated'})",
+        f"method {name}; {kind} {noise:.2g} m/s ({source})",
         *(f"  {reason}" for reason in reasons),
         *([] if filtered is None else [f"specific force behind {filtered}"]),
         *(f"warning: {warning}" for warning in log.warnings),
