@@ -234,12 +234,34 @@ def test_align_writes_what_it_says(files, tmp_path, capsys):
 def test_aid_noise_is_estimated_where_it_is_not_stated(files, tmp_path, capsys):
     with np.load(files / "good.npz") as z:
         np.savez(tmp_path / "log.npz", **{k: z[k] for k in z.files if k != "aid_sd"})
-    assert main(["align", str(tmp_path / "log.npz"), "--every", "60", "--output", str(tmp_path / "out.npz")]) == 0
-    assert "estimated from the data" in capsys.readouterr().out
-    with np.load(tmp_path / "out.npz") as z:
-        assert z["aid_sd"][-1] == pytest.approx(0.1, rel=0.3)
-    assert main(["align", str(tmp_path / "log.npz"), "--every", "60", "--aid-sd", "0.2"]) == 0
-    assert "0.2 m/s (as stated)" in capsys.readouterr().out
+    for method, told, stated in (
+        ("oba", "estimated from the data", "0.2 m/s (as stated)"),
+        ("auto", "m/s (by the data)", "by the data; stated: 0.2)"),
+    ):
+        command = ["align", str(tmp_path / "log.npz"), "--method", method, "--every", "60"]
+        assert main([*command, "--output", str(tmp_path / "out.npz")]) == 0
+        assert told in capsys.readouterr().out
+        with np.load(tmp_path / "out.npz") as z:
+            assert z["aid_sd"][-1] == pytest.approx(0.1, rel=0.3)
+        assert main([*command, "--aid-sd", "0.2", "--output", str(tmp_path / "out.npz")]) == 0
+        assert stated in capsys.readouterr().out
+        with np.load(tmp_path / "out.npz") as z:
+            recipe = json.loads(str(z["recipe"]))
+        assert (recipe["aid_sd"], recipe["aid_sd_from"]) == (0.2, "user")
+
+
+def test_a_recipe_holds_the_figures_of_the_unit(files, tmp_path, capsys):
+    """--imu reaches the method that is written, and its deviations need no --imu when it is read back."""
+    out = tmp_path / "out.npz"
+    command = ["align", str(files / "good.npz"), "--method", "robust_map", "--every", "60"]
+    assert main([*command, "--imu", "mems", "--output", str(out)]) == 0
+    end = capsys.readouterr().out.splitlines()[-2]
+    with np.load(out) as z:
+        recipe = json.loads(str(z["recipe"]))
+    assert recipe["parameters"]["imu.gyro_bias_deg_h"] == 200.0
+    (tmp_path / "again.json").write_text(json.dumps(recipe))
+    assert main(["align", str(files / "good.npz"), "--method-file", str(tmp_path / "again.json"), "--every", "60"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == end
 
 
 def test_simulate_round_trip(tmp_path, capsys):

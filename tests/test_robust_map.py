@@ -339,6 +339,51 @@ def test_a_heading_that_nothing_tells_stays_open():
     assert (np.abs(attitude_error_deg(found, log)[-1, :2]) < 4 * np.rad2deg(found.sd[-1, :2])).all()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("sd", "seconds"), [(10.0, 0.0), (1.0, 20.0)])
+def test_noise_as_large_as_the_changes_of_velocity(sd, seconds):
+    """GNSS white of 10 m/s, or of 1 m/s that lasts for 20 s, on a car of 10 m/s: slow, but no step too far."""
+    made = dataclasses.replace(scenario("gps-zigzag"), aid_sd=jnp.asarray(1e-3))
+    exact = truth(made)
+    intervals, imu, r = intervals_of(exact, made.aid_every), ImuErrors.of(made), np.exp(-1.0 / max(seconds, 1e-3))
+
+    @jax.jit
+    def solve(key):
+        a, b = jax.random.split(key)
+        epochs = measure_epochs(intervals, made, a)
+        white = jax.random.normal(b, (len(epochs), 3))
+
+        def step(x, n):
+            x = r * x + np.sqrt(1 - r * r) * n
+            return x, x
+
+        noise = sd * jax.lax.scan(step, white[0], white)[1]
+        rows = dataclasses.replace(epochs.rows, velocity=epochs.rows.velocity + Vec3.of(noise))
+        epochs = eqx.tree_at(lambda e: (e.rows, e.aid_sd), epochs, (rows, jnp.asarray(sd)))
+        found = RobustMap(imu=imu, aid="nav").solve(epochs, len(epochs) - 1)
+        return found.q_nb[-1], found.sd[-1, 2]
+
+    q, deviation = jax.lax.map(solve, jax.random.split(jax.random.key(1), 24))
+    reference = jnp.broadcast_to(rotation.quat_from_dcm(exact.C_nb[-1]), q.shape)
+    phi = rotation.attitude_error(q, reference)[:, 2]
+    print(np.rad2deg(np.sqrt(np.mean(phi**2))), np.rad2deg(np.median(deviation)))
+    assert np.sqrt(np.mean((phi / deviation) ** 2)) < 1.2
+    assert np.rad2deg(np.abs(phi)).max() < 30
+    assert np.rad2deg(np.median(deviation)) < 16
+
+
+def test_a_stated_noise_that_is_far_too_small_says_nothing_of_the_start():
+    """30 s with a hundredth of the true noise stated: the heading is as open as it is."""
+    made = scenario("dvl-sturn", duration=30.0)
+    epochs = measure_epochs(intervals_of(truth(made), made.aid_every), made, jax.random.key(1))
+    method = RobustMap(imu=ImuErrors.of(made))
+    sd = [
+        np.rad2deg(method.solve(eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(x)), 30).sd[-1, 2])
+        for x in (0.1, 1e-3)
+    ]
+    assert sd[1] > 0.6 * sd[0]
+
+
 def test_modes_count_by_their_likelihood():
     """Two headings 2 rad apart, one of them found twice, and one that fits by far less."""
     headings = jnp.array([0.0, 2.0, 2.001, -1.0])
