@@ -43,7 +43,7 @@ class MeanTriad(AbstractRecordMethod):
     prefilter: AbstractPrefilter | None = optional_prefilter()
 
     def __check_init__(self):
-        check_interval(self.interval_samples)
+        check_interval(self.interval_samples, "interval_samples")
 
     def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
         """Up is f, east is w x f, north is up x east."""
@@ -80,7 +80,7 @@ class DualVector(AbstractRecordMethod):
 
     def __check_init__(self):
         check_choice("vectors", self.vectors, ("hann", "boxcar", "halves", "ends", "rls"))
-        check_interval(self.interval_samples)
+        check_interval(self.interval_samples, "interval_samples")
         if not 0 < self.fraction <= 0.5:
             raise UserError(f"fraction = {self.fraction}: must be above 0 and at most 0.5 of the record")
 

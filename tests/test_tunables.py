@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import ROWS, epochs_of, log_of
+from problems import ROWS, epochs_of, log_of, sparse
 
 from jaxalign import Quat, parameters
 from jaxalign.methods import build
@@ -140,7 +140,7 @@ def test_derivatives(name, aid, settings, prefilter, active, idle):
 
     def loss(relative):
         changed = with_parameters(method, dict(zip(paths, at * jnp.exp(relative), strict=True)))
-        found = changed.solve(epochs, 1)
+        found = changed.solve(epochs, sparse(name))
         q = Quat.of(found.q_nb[-1]) * truth
         return jnp.dot(weights, q.log().array), found.eigengap[-1]
 
@@ -203,7 +203,7 @@ def test_finite_at_the_bounds(name, aid, settings, where):
     @jax.value_and_grad
     def loss(x):
         changed = with_parameters(method, dict(zip(paths, x, strict=True)))
-        return jnp.sum(Quat.of(changed.solve(epochs, 1).q_nb).log().array ** 2)
+        return jnp.sum(Quat.of(changed.solve(epochs, sparse(name)).q_nb).log().array ** 2)
 
     for some in [*np.eye(len(paths), dtype=bool), np.ones(len(paths), bool)]:
         value, slope = loss(jnp.asarray(np.where(some, ends, usual)))

@@ -116,7 +116,7 @@ class RobustMap(eqx.Module):
 
     def __check_init__(self):
         check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
-        check_interval(self.interval_samples)
+        check_interval(self.interval_samples, "interval_samples")
         for name in ("starts", "iterations"):
             check_count(name, getattr(self, name))
         parts = [] if self.calibrate == "none" else str(self.calibrate).split("+")

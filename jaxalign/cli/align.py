@@ -190,8 +190,8 @@ def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tup
     name, method, _ = read_method(options.method_file)
     if method.aid not in ("static", log.aid):
         raise UserError(
-            f"{options.method_file} holds {name} for a {method.aid!r} aid, but {log.name} has a {log.aid!r} aid: tune "
-            "one for it, or name a method with --method"
+            f"{options.method_file} holds {name} for a {method.aid!r} aid, but {log.name} has a {log.aid!r} aid: make "
+            "one for it (jaxalign tune), or name a method with --method"
         )
     return name, _with_imu(with_parameters(method, settings), imu), ()
 

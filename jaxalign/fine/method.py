@@ -58,7 +58,7 @@ class Fine(AbstractRecordMethod):
     prefilter: AbstractPrefilter | None = optional_prefilter()
 
     def __check_init__(self):
-        check_interval(self.interval_samples)
+        check_interval(self.interval_samples, "interval_samples")
         if getattr(self.coarse, "aid", None) != "static":
             raise UserError("coarse: must be a method for a standing vehicle, such as build('dual_vector')")
         own = getattr(getattr(self.coarse, "observe", self.coarse), "interval_samples", None)

@@ -36,9 +36,7 @@ def check_window(seconds: float) -> None:
         raise UserError(f"observe.window = {seconds}: must be a number of seconds, 0 for the whole time")
 
 
-def check_interval(samples: int | None) -> None:
+def check_interval(samples: int | None, path: str = "observe.interval_samples") -> None:
     """Refuse an interval of less than one IMU sample."""
     if samples is not None and samples < 1:
-        raise UserError(
-            f"observe.interval_samples = {samples}: must be at least 1 IMU sample, or none for the log's own"
-        )
+        raise UserError(f"{path} = {samples}: must be at least 1 IMU sample, or none for the log's own")
