@@ -53,11 +53,11 @@ def choose(
 ) -> Choice:
     """The method for a log: the robust batch estimator, with the aid of the log and a model of its inertial unit.
 
-    A standing vehicle is observed each second; a body aid has its scale factor and misalignment among the unknowns, a
-    navigation aid its lever arm and latency. Unless ``imu`` is given, the log is aligned with each grade of
-    :data:`jaxalign.batch.GRADES`, and the finest whose likelihood is within a factor of 400 of the best is taken:
-    what the data do not speak against. A grade that is known is better than one that is guessed. With gyroscopes worse
-    than 1 deg/h the search starts from four headings.
+    A standing vehicle is observed each second (each 0.2 s by a coarse unit); a body aid has its scale factor and
+    misalignment among the unknowns, a navigation aid its lever arm and latency. Unless ``imu`` is given, the log is
+    aligned with each grade of :data:`jaxalign.batch.GRADES`, and the finest whose likelihood is within a factor of 400
+    of the best is taken: what the data do not speak against. A grade that is known is better than one that is guessed.
+    With gyroscopes worse than 1 deg/h (a coarse unit) the search starts from four headings.
 
     Args:
         log: a checked log.

@@ -166,8 +166,8 @@ def window_table(log: Log, bias: np.ndarray) -> list[str]:
     """Heading errors at the end of 60 s windows in which the speed changes enough."""
     out = [
         "| method | gyro bias | windows | median of the heading error's size, deg | 90 % | median with outliers | 90 % "
-        "| within 2 stated sd |",
-        "|---|---|---|---|---|---|---|---|",
+        "| within 2 stated sd | lever arm m |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     sd = estimate_aid_sd(build("oba", "nav").epochs(log))
     corrected = dataclasses.replace(log, dtheta=log.dtheta - bias * log.dt)
@@ -182,7 +182,7 @@ def window_table(log: Log, bias: np.ndarray) -> list[str]:
         for kind, data in (("as it is", log), ("removed (from the reference)", corrected)):
             if name in ("robust_map", "auto") and data is corrected:
                 continue
-            errors, struck, held = [], [], []
+            errors, struck, held, arms = [], [], [], []
             for start in range(0, int(log.duration) - 60, 10):
                 part = data.crop(start, start + 60)
                 assert part.velocity is not None
@@ -195,16 +195,35 @@ def window_table(log: Log, bias: np.ndarray) -> list[str]:
                     assert error is not None
                     sizes.append(abs(error[-1, 2]))
                     if solution.sd is not None:
+                        arms += _lever(solution)
                         held.append(abs(error[-1, 2]) < 2 * np.rad2deg(solution.sd[-1, 2]))
             numbers = [f(x) for x in (errors, struck) for f in (np.median, lambda y: np.percentile(y, 90))]
             told = f"{100 * np.mean(held):.0f} %" if held else ""
-            out.append(f"| {label} | {kind} | {len(errors)} | {' | '.join(f'{x:.2f}' for x in numbers)} | {told} |")
+            out.append(
+                f"| {label} | {kind} | {len(errors)} | {' | '.join(f'{x:.2f}' for x in numbers)} | {told} | "
+                f"{_numbers(np.median(arms, axis=0)) if arms else ''} |"
+            )
     return out
+
+
+def _lever(solution: Solution) -> list[np.ndarray]:
+    """The lever arm found at the end, if there is one among the unknowns (the last three), m."""
+    told = solution.filter
+    if told is None or told.calibration is None or told.calibration.shape[1] < 3:
+        return []
+    return [np.asarray(told.calibration)[-1, -3:]]
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{x:+.2f}" for x in values)
 
 
 def short_windows(log: Log) -> list[str]:
     """Windows of 20 s by the method chosen: errors and what is said of them."""
-    out = ["| window s | heading error deg | stated sd | tilt error deg | stated sd |", "|---|---|---|---|---|"]
+    out = [
+        "| window s | heading error deg | stated sd | tilt error deg | stated sd | lever arm m |",
+        "|---|---|---|---|---|---|",
+    ]
     for start in range(0, int(log.duration) - 20, 10):
         part = log.crop(float(start), float(start + 20))
         solution = align(choose(part).method, part, every=10**6)
@@ -212,7 +231,10 @@ def short_windows(log: Log) -> list[str]:
         assert error is not None
         assert sd is not None
         (e, n, u), (se, sn, su) = error[-1], np.rad2deg(np.asarray(sd)[-1])
-        out.append(f"| {start}-{start + 20} | {u:+.2f} | {su:.2f} | {np.hypot(e, n):.3f} | {np.hypot(se, sn):.3f} |")
+        out.append(
+            f"| {start}-{start + 20} | {u:+.2f} | {su:.2f} | {np.hypot(e, n):.3f} | {np.hypot(se, sn):.3f} "
+            f"| {_numbers(_lever(solution)[0])} |"
+        )
     return out
 
 
@@ -279,8 +301,8 @@ def report(data: Path) -> str:
         *fresh(window_table(car, np.asarray(bias))),
         "",
         "The gyro bias (140 deg/h) hides the Earth rate; the heading comes from the accelerations. `auto` takes the",
-        "unit for what it is, and finds its biases and the lever arm to the antenna (1.7 m), a larger error than the",
-        "noise of the fixes. Outliers: as above.",
+        "unit for what it is, and finds its biases and the lever arm to the antenna (last column: median over the",
+        "windows; right, forward, up). Outliers: as above.",
         "",
         "## Car, nearly straight: MEMS unit and FOG reference, 100 s",
         "",
@@ -291,7 +313,7 @@ def report(data: Path) -> str:
         *fresh(recipes_table([mems], "nav")),
         "",
         "The bias of the gyro (140-290 deg/h) and a nearly straight drive leave tens of degrees to a method without",
-        "biases. With them, and a lever arm of 0.15 m, the accelerations do tell the heading, to what is stated:",
+        "biases. With them and the lever arm to the antenna the accelerations do tell the heading, to what is stated:",
         "",
         *short_windows(mems),
         "",
