@@ -343,7 +343,8 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
             estimated, or unfiltered epochs for a method with a prefilter.
     """
     check_every(every)
-    return method.solve(epochs_for(method, log, aid_sd), int(every))
+    epochs = epochs_for(method, log, aid_sd)  # first: it refuses what is no method
+    return method.solve(epochs, int(every))
 
 
 def epochs_for(method: Any, log: Log | Epochs, aid_sd: Any = None) -> Epochs:
