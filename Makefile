@@ -30,7 +30,7 @@ run: $(STAMP)
 		--runs 1000 --out out/dvl-sturn --plot
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow"
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow" --quick-compile
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m slow

@@ -1,4 +1,6 @@
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -17,6 +19,22 @@ install_import_hook(
     + [f"jaxalign.estimate.{name}" for name in ESTIMATE],
     "beartype.beartype",
 )
+
+
+# A third of XLA's time to compile, and code half as fast: right for small problems. The slow tests go without.
+QUICK = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+
+
+def pytest_addoption(parser):
+    parser.addoption("--quick-compile", action="store_true", help="let XLA optimise little, where it knows how")
+
+
+def pytest_configure(config):
+    if config.getoption("quick_compile") and "XLA_FLAGS" not in os.environ:  # the workers inherit it
+        environment = {**os.environ, "XLA_FLAGS": QUICK}
+        probe = [sys.executable, "-c", "import jax; jax.devices()"]  # XLA aborts on a flag that it does not know
+        if subprocess.run(probe, env=environment, capture_output=True).returncode == 0:
+            os.environ["XLA_FLAGS"] = QUICK
 
 
 def pytest_collection_modifyitems(items):

@@ -136,17 +136,18 @@ def test_outputs_never_destroy(files, tmp_path, capsys):
     assert "input" in message
     assert (files / "good.npz").read_bytes() == before
     os.mkfifo(tmp_path / "pipe")
-    assert main(["align", str(files / "good.npz"), "--every", "60", "--output", str(tmp_path / "pipe")]) == 2
+    command = ["align", str(files / "good.npz"), "--method", "oba", "--every", "60"]
+    assert main([*command, "--output", str(tmp_path / "pipe")]) == 2
     assert "ordinary" in capsys.readouterr().err
     (tmp_path / "link.npz").symlink_to(tmp_path / "real.npz")
-    assert main(["align", str(files / "good.npz"), "--every", "60", "--output", str(tmp_path / "link.npz")]) == 0
+    assert main([*command, "--output", str(tmp_path / "link.npz")]) == 0
     assert (tmp_path / "link.npz").is_symlink()
     assert (tmp_path / "real.npz").is_file()
 
 
 def test_a_reader_that_leaves_costs_no_results(files, tmp_path):
     """`jaxalign align ... | true`, and a full disk behind standard output."""
-    arguments = [sys.executable, "-m", "jaxalign", "align", str(files / "good.npz"), "--every", "60"]
+    arguments = [sys.executable, "-m", "jaxalign", "align", str(files / "good.npz"), "--method", "oba", "--every", "60"]
     with subprocess.Popen([*arguments, "--output", str(tmp_path / "o.npz")], stdout=subprocess.PIPE) as program:
         program.stdout.close()
         assert program.wait() == 0
@@ -161,7 +162,7 @@ def test_a_reader_that_leaves_costs_no_results(files, tmp_path):
 
 def test_an_unknown_backend_is_no_matter(files, tmp_path):
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
-    arguments = ["align", str(files / "good.npz"), "--every", "10", "--plot", str(tmp_path / "o.pdf")]
+    arguments = ["align", str(files / "good.npz"), "--method", "oba", "--plot", str(tmp_path / "o.pdf")]
     run = subprocess.run(
         [sys.executable, "-m", "jaxalign", *arguments], env=environment, capture_output=True, text=True
     )
@@ -170,7 +171,7 @@ def test_an_unknown_backend_is_no_matter(files, tmp_path):
 
 
 def test_printed_times_are_those_of_the_file(files, tmp_path, capsys):
-    cut = ["--start", "20", "--every", "40", "--output", str(tmp_path / "o.npz")]
+    cut = ["--method", "oba", "--start", "20", "--every", "40", "--output", str(tmp_path / "o.npz")]
     assert main(["align", str(files / "good.npz"), *cut]) == 0
     with np.load(tmp_path / "o.npz") as z:
         np.testing.assert_allclose(z["t"], [20.0, 60.0])
@@ -183,13 +184,13 @@ def test_wrong_column_map(files, capsys):
 
 
 def test_swapped_axes_warn(files, capsys):
-    assert main(["align", str(files / "swapped.npz"), "--every", "60"]) == 0
+    assert main(["align", str(files / "swapped.npz"), "--method", "oba", "--every", "60"]) == 0
     assert "warning: " in capsys.readouterr().out
 
 
 def test_csv_of_a_standing_vehicle_is_static(files, capsys):
     """No aid columns: a static log. (This vehicle moves; the command only sees sensors.)"""
-    assert main(["align", str(files / "good.csv"), "--every", "10"]) == 0
+    assert main(["align", str(files / "good.csv"), "--end", "20", "--every", "10"]) == 0
     out = capsys.readouterr().out
     assert "no aid (standing)" in out
     assert "method robust_map" in out

@@ -9,6 +9,7 @@ import argparse
 import dataclasses
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
+from experiments.progress import progress  # noqa: E402
 from jaxalign import Log, Solution, align, choose, estimate_aid_sd, read  # noqa: E402
 from jaxalign.batch import ImuErrors, RobustMap, imu_errors  # noqa: E402
 from jaxalign.errors import UserError  # noqa: E402
@@ -122,12 +124,6 @@ def recipes_table(logs: list[Log], aid: str) -> list[str]:
         out.append(f"| {log.name} | {sd:.4f} | {' | '.join(cells)} |")
     pooled = (f"{np.sqrt(np.mean(np.square(x))):.2f}" for x in sizes.values())
     return [*out, f"| RMS of all draws | | {' | '.join(pooled)} |"]
-
-
-def fresh(rows: list[str]) -> list[str]:
-    """The rows, and room for further programs: all of them together are more than a process may map."""
-    jax.clear_caches()
-    return rows
 
 
 def heading_error(method: Any, log: Log, sd: float) -> float:
@@ -260,6 +256,18 @@ def main() -> int:
 
 def report(data: Path) -> str:
     """The whole page."""
+    with progress("real logs", 8, unit="table") as bar:
+
+        def fresh(rows: list[str]) -> list[str]:
+            """Room for further programs: all of them together are more than a process may map."""
+            jax.clear_caches()
+            bar.update()
+            return rows
+
+        return _page(data, fresh)
+
+
+def _page(data: Path, fresh: Callable[[list[str]], list[str]]) -> str:
     paths = sorted(data.glob("*real_akit/*.npz"))
     auv = [read(path) for path in paths]
     laser = read(data / "lasergyro" / "lasergyro_first_half.imu")
@@ -315,7 +323,7 @@ def report(data: Path) -> str:
         "The bias of the gyro (140-290 deg/h) and a nearly straight drive leave tens of degrees to a method without",
         "biases. With them and the lever arm to the antenna the accelerations do tell the heading, to what is stated:",
         "",
-        *short_windows(mems),
+        *fresh(short_windows(mems)),
         "",
     ]
     return "\n".join(parts)

@@ -95,15 +95,15 @@ def _run(options: argparse.Namespace) -> int:
         check_threshold(options.aligned)
     if options.every is not None:
         check_every(options.every)
-    log = read_log(options)
-    imu = None if options.imu is None else imu_figures(options.imu)
-    name, method, reasons = _method(options, log, imu)
     plots = None
     if options.plot:
         from jaxalign import plots
 
         plots.require()
     check_outputs(options, [options.file, options.columns, options.method_file])
+    log = read_log(options)
+    imu = None if options.imu is None else imu_figures(options.imu)
+    name, method, reasons = _method(options, log, imu)  # to choose one takes solutions of the log
     if method.aid == "static" and log.velocity is not None:
         speed = float(np.nanmedian(np.linalg.norm(log.velocity, axis=1)))
         if speed > 0.5:
