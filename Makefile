@@ -10,8 +10,8 @@ WORKERS ?= 2
 
 help:
 	@echo "make run       set up, study five methods over 1000 simulated runs with outliers: a table, out/dvl-sturn/"
-	@echo "make test      set up, run the tests (not those marked slow)"
-	@echo "make test-slow the tests marked slow;  make test-all  both"
+	@echo "make test      set up, run the tests (not those marked slow or exact)"
+	@echo "make test-slow the others;  make test-all  both"
 	@echo "make lint      ruff (check and format)        make types     pyright"
 	@echo "make bench     speed and memory into benchmarks/*.md"
 	@echo "make tables    the tables of experiments/, about an hour (two need the logs: JAXALIGN_SHARED=folder)"
@@ -30,10 +30,10 @@ run: $(STAMP)
 		--runs 1000 --out out/dvl-sturn --plot
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow" --quick-compile
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m slow
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise less
 
 test-all: test test-slow
 

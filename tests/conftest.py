@@ -21,20 +21,21 @@ install_import_hook(
 )
 
 
-# A third of XLA's time to compile, and code half as fast: right for small problems. The slow tests go without.
-QUICK = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+# Tests compile more than they run. Less: half of the time to compile, code as fast; none: a third, code half as fast.
+LESS = "--xla_cpu_use_fusion_emitters=false"
+OPTIMISE = {"all": "", "less": LESS, "none": f"{LESS} --xla_backend_optimization_level=0"}
 
 
 def pytest_addoption(parser):
-    parser.addoption("--quick-compile", action="store_true", help="let XLA optimise little, where it knows how")
+    parser.addoption("--optimise", choices=OPTIMISE, default="all", help="by XLA, where it knows how (%(default)s)")
 
 
 def pytest_configure(config):
-    if config.getoption("quick_compile") and "XLA_FLAGS" not in os.environ:  # the workers inherit it
-        environment = {**os.environ, "XLA_FLAGS": QUICK}
+    flags = OPTIMISE[config.getoption("optimise")]
+    if flags and "XLA_FLAGS" not in os.environ:  # workers and commands inherit them
         probe = [sys.executable, "-c", "import jax; jax.devices()"]  # XLA aborts on a flag that it does not know
-        if subprocess.run(probe, env=environment, capture_output=True).returncode == 0:
-            os.environ["XLA_FLAGS"] = QUICK
+        if subprocess.run(probe, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True).returncode == 0:
+            os.environ["XLA_FLAGS"] = flags
 
 
 def pytest_collection_modifyitems(items):

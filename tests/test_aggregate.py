@@ -120,6 +120,7 @@ def test_differentiable_in_the_sensors():
     assert np.isfinite(jax.grad(size)(jnp.zeros(())))
 
 
+@pytest.mark.exact
 def test_many_runs_are_the_single_ones():
     made, _, intervals = problem(outliers="segment", single_axis=True, gaps=((2.0, 3.0),))
     some = keys(5)
@@ -130,6 +131,7 @@ def test_many_runs_are_the_single_ones():
             np.testing.assert_allclose(a if a.ndim == 1 else a[..., i], b, rtol=0, atol=1e-15)
 
 
+@pytest.mark.exact
 @pytest.mark.parametrize("samples", [200, 25, 2])
 def test_sample_by_sample_is_measure(samples):
     """The same draws as `measure` and a preintegration, for one run and for several side by side."""

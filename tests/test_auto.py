@@ -126,7 +126,7 @@ def struck(log, seed):
     return dataclasses.replace(log, velocity=log.velocity + off)
 
 
-@pytest.mark.parametrize("spoil", [lambda log, seed: log, struck])
+@pytest.mark.parametrize("spoil", [pytest.param(lambda log, seed: log, marks=pytest.mark.slow), struck])
 def test_auv_logs(shared, spoil):
     """Six logs of an AUV, nothing said of its sensors: 0.98 deg after 200 s and 0.33 at the end by plain OBA."""
     errors = []

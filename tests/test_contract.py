@@ -25,23 +25,29 @@ BOUND_TO_THE_AXES = ("rkf_oba", "vo_tvk")
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
 
 
-def _further_aids_slow(rows):
+# A wide first covariance, or a search, makes much of the last bits.
+SENSITIVE = ("rkf_oba", "revising_oba")
+
+
+def _further_aids_slow(rows, sensitive=()):
     """Where compiling costs most, a recipe's further aids, and recipes of slots seen elsewhere, are slow tests."""
 
     def marks(name, aid):
-        return () if aid == RECIPES[name].aids[0] and name not in SEEN_ELSEWHERE else pytest.mark.slow
+        quick = aid == RECIPES[name].aids[0] and name not in SEEN_ELSEWHERE
+        return [*([] if quick else [pytest.mark.slow]), *([pytest.mark.exact] if name in sensitive else [])]
 
     marked = [pytest.param(name, aid, marks=marks(name, aid)) for name, aid in rows]
     return pytest.mark.parametrize(("name", "aid"), marked)
 
 
 first_aids = _further_aids_slow(ROWS)
+first_aids_exact = _further_aids_slow(ROWS, SENSITIVE)
 # Their compilation takes a minute each: test_fine.py, and robust_map with one aid for all.
 GRADIENTS_ELSEWHERE = (("fine", "static"), ("robust_map", "body"), ("robust_map", "static"))
 QUICK_GRADIENTS = ("oba", "roba", "gravity_q", "triad", "request")  # the others compile for 15 s each
 
 
-first_slots = _further_aids_slow([row for row in ROWS if isinstance(method_of(*row), Aligner)])
+first_slots = _further_aids_slow([row for row in ROWS if isinstance(method_of(*row), Aligner)], SENSITIVE)
 
 
 def truth_dcm(aid):
@@ -95,7 +101,7 @@ def test_online_equals_offline(name, aid):
         assert row.status == whole.status[k]
 
 
-@first_aids
+@first_aids_exact
 def test_vmap_over_logs_and_tunables_equals_loop(name, aid):
     """Three logs, each with other values of every tunable."""
     method, batch = method_of(name, aid), [epochs_of(aid, seed) for seed in (1, 2, 3)]

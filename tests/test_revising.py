@@ -34,10 +34,8 @@ def ratios(made, runs, every):
     return np.abs(phi) / np.asarray(bound(made, exact).phi_deg)[rows]
 
 
-slow = pytest.mark.slow
-
-
-@pytest.mark.parametrize("share", [pytest.param(0.0, marks=slow), pytest.param(0.02, marks=slow), 0.1])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1])
 def test_near_the_bound(share):
     """300 s with a Doppler log, outliers 300 times too large, the first fix like the others: 1000 runs."""
     heading = ratios(outlying(scenario("dvl-sturn"), share), 1000, 300)[:, -1, 2]

@@ -283,7 +283,8 @@ def test_grades():
         with_parameters(RobustMap(), {"aid": "nav"})
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.02])
 def test_auv_at_sea(shared, share):
     """Six real logs: RMS of the heading error at 200 s and at the end; and the deviations stated hold."""
     imu = ImuErrors(*(jnp.asarray(x) for x in (0.1, 0.015, 200.0, 50.0)))

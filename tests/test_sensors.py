@@ -193,6 +193,7 @@ def test_jump_outliers():
         assert stats.kstest((jump[hit][:, axis] / size[hit] + 1) / 2, "uniform").pvalue > 1e-4
 
 
+@pytest.mark.exact
 def test_gaps_and_composition():
     setting = scenario("dvl-sturn", outliers="fixed", gaps=((30, 40), (100.5, 102)), duration=150.0)
     velocity = simulate(setting, 1).velocity

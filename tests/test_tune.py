@@ -58,6 +58,7 @@ def test_the_loss_is_the_accuracy_of_the_study(tune, tuned):
     np.testing.assert_allclose(tuned.history.loss[0], study["roba"].accuracy.value[2], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_modes_agree_with_differences(tune):
     objective, batch, _ = engine.prepared(tune)
     free = {"weight.gamma": jnp.asarray(0.3)}
