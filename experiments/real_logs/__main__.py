@@ -291,7 +291,7 @@ def _page(data: Path, fresh: Callable[[list[str]], list[str]]) -> str:
         *fresh(moving_table(auv)),
         "",
         "Every recipe, the first 300 s: heading error in deg as the log is, and in brackets the median and the largest",
-        f"of {DRAWS} draws with outliers: {100 * OUTLIERS:g} % of the velocities after the first, noise times {FACTOR:g}.",
+        f"of {DRAWS} draws with outliers: {100 * OUTLIERS:g} % of the velocities but the first, noise x {FACTOR:g}.",
         "",
         *fresh(recipes_table(auv, "body")),
         "",
