@@ -105,7 +105,7 @@ TABLE = [
         "",
     ),
 ]
-STEPS = {"roba": (1e-4, 3e-5), "moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
+STEPS = {"moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
 QUICK = ("roba", "request")  # the others compile for 15 s each
 
 
@@ -115,7 +115,7 @@ def expanded():
             if row == name and (active or idle) and (aid == "body" or "calibrate" not in settings):
                 label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
                 quick = name in QUICK and aid == "body"
-                marks = [*([] if quick else [pytest.mark.slow]), *([pytest.mark.exact] if settings else [])]
+                marks = () if quick else pytest.mark.slow
                 yield pytest.param(name, aid, settings, prefilter, active.split(), idle.split(), id=label, marks=marks)
 
 
