@@ -9,7 +9,7 @@ WORKERS ?= 2
 .PHONY: help run test test-slow test-all lint types bench tables clean
 
 help:
-	@echo "make run       set up, study five methods over 1000 simulated runs with outliers: a table, out/dvl-sturn/"
+	@echo "make run       set up, study seven methods over 1000 simulated runs with outliers: a table, out/dvl-sturn/"
 	@echo "make test      set up, run the tests (not those marked slow or exact)"
 	@echo "make test-slow the others;  make test-all  both"
 	@echo "make lint      ruff (check and format)        make types     pyright"
@@ -26,7 +26,7 @@ $(STAMP): pyproject.toml
 
 run: $(STAMP)
 	rm -rf out/dvl-sturn
-	$(BIN)/jaxalign study dvl-sturn --set outliers=fixed --methods oba,roba,moba,rkf_oba,centred_oba \
+	$(BIN)/jaxalign study dvl-sturn --set outliers=fixed --methods oba,roba,moba,rkf_oba,centred_oba,revising_oba,robust_map \
 		--runs 1000 --out out/dvl-sturn --plot
 
 test: $(STAMP)
