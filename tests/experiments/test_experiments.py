@@ -17,7 +17,7 @@ from experiments.statistics import Estimate, at, between, compared, few_runs, me
 from jaxalign.methods import build
 from jaxalign.simulate import noiseless, scenario
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = (
     "xu2020_rkf_dvl",
     "shen2025_moba_dvl",

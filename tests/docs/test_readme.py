@@ -9,7 +9,7 @@ import pytest
 
 from jaxalign.cli.main import main
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
+README = (Path(__file__).parents[2] / "README.md").read_text()
 
 
 def blocks(language: str) -> list[str]:
@@ -64,7 +64,7 @@ def test_scenario_file_is_a_scenario(tmp_path):
 
 @pytest.mark.parametrize("link", re.findall(r"\]\((?!https?:)([^)#]+)\)", README))
 def test_links_exist(link):
-    assert (Path(__file__).parents[1] / link).exists()
+    assert (Path(__file__).parents[2] / link).exists()
 
 
 def test_methods_table_is_complete():
