@@ -6,12 +6,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WORKERS ?= 2
 
-.PHONY: help run test test-slow test-all lint types bench tables clean
+.PHONY: help run test test-times test-slow test-all lint types bench tables clean
 
 help:
 	@echo "make run       set up, study seven methods over 1000 simulated runs with outliers: a table, out/dvl-sturn/"
 	@echo "make test      set up, run the tests (not those marked slow or exact)"
 	@echo "make test-slow the others;  make test-all  both"
+	@echo "make test-times the tests of make test, with the CPU seconds of every file and room"
 	@echo "make lint      ruff (check and format)        make types     pyright"
 	@echo "make bench     speed and memory into benchmarks/*.md"
 	@echo "make tables    the tables of experiments/, about an hour (two need the logs: JAXALIGN_SHARED=folder)"
@@ -31,6 +32,9 @@ run: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none
+
+test-times: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none --times
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise less

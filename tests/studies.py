@@ -1,9 +1,11 @@
 """One small study, the same in all the tests of studies, and when two of them are identical."""
 
+import functools
+
 import numpy as np
 
 from jaxalign.simulate import scenario
-from jaxalign.study import Study
+from jaxalign.study import Study, run
 
 SHORT = {"duration": 60.0}
 RUNS = 100
@@ -13,6 +15,12 @@ def small():
     """100 runs of two methods with outliers, 60 s."""
     made = scenario("dvl-sturn", outliers="fixed", **SHORT)
     return Study(made, ["oba", "roba"], runs=RUNS, seed=4, tolerance_deg=20.0, window=(30.0, 60.0))
+
+
+@functools.cache
+def result_of_small():
+    """One for all tests of a process (the files that use it are one group of xdist)."""
+    return run(small())
 
 
 def arrays(result):

@@ -8,15 +8,16 @@ import time
 
 import numpy as np
 import pytest
-from studies import RUNS, arrays, small
+from studies import RUNS, arrays, result_of_small
 
 from jaxalign import UserError
-from jaxalign.study import run
+
+pytestmark = pytest.mark.xdist_group("study")  # one worker compiles for all
 
 
 @pytest.fixture(scope="module")
 def result():
-    return run(small())
+    return result_of_small()
 
 
 COMMAND = [sys.executable, "-m", "jaxalign", "study", "dvl-sturn", "--set", "outliers=fixed", "--set", "duration=60"]

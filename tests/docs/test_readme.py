@@ -2,12 +2,14 @@
 
 import re
 import tomllib
+from operator import attrgetter
 from pathlib import Path
 
 import matplotlib
 import pytest
 
-from jaxalign.cli.main import main
+import jaxalign
+from jaxalign.cli.main import main, parser
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
 
@@ -16,6 +18,21 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.M | re.S)
 
 
+def commands() -> list[str]:
+    return [line[2:] for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
+
+
+def test_what_the_code_names_is_there():
+    """Quickly; the slow tests below run it."""
+    for block in blocks("python"):
+        compile(block, "README.md", "exec")
+        for name in re.findall(r"\bja\.([A-Za-z_][\w.]*\w)", block):
+            attrgetter(name)(jaxalign)
+    for command in commands():
+        parser().parse_args(command.split()[1:])
+
+
+@pytest.mark.slow
 def test_python(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
@@ -35,11 +52,11 @@ def test_python(tmp_path, monkeypatch, capsys):
     assert len([line for line in code[6].splitlines() if line.strip()]) <= 15
 
 
+@pytest.mark.slow
 def test_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    commands = [line[2:] for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
-    assert len(commands) == 13
-    for command in commands:
+    assert len(commands()) == 13
+    for command in commands():
         program, *arguments = command.split()
         assert program == "jaxalign"
         assert main(arguments) == 0, capsys.readouterr().err

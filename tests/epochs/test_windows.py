@@ -143,6 +143,7 @@ def test_a_row_of_a_solution_is_a_solution(log):
     assert last.heading_deg.shape == ()
 
 
+@pytest.mark.uncached
 def test_logs_with_slightly_different_clocks_share_a_program(log, caplog):
     import dataclasses
 

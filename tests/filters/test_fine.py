@@ -32,6 +32,15 @@ from jaxalign.rotation import attitude_error, quat_from_dcm
 from jaxalign.simulate import imu_increments, scenario, simulate, truth
 from jaxalign.units import DEG_H, UG
 
+SECONDS = 60.0  # of the frozen cases, and of all records here that need no other length: they share programs
+
+
+@eqx.filter_jit
+def refine(method, epochs, start, every=1):
+    """One program for all tests of a form of the filter."""
+    return method.refine(epochs, start, every=every)
+
+
 CASES = ("disturbed_align_c2_10mg", "disturbed_align_real_60s")
 
 
@@ -79,7 +88,7 @@ def test_frozen(shared, name, force):
     assert parameters["state"].startswith("dr dv psi ba bg")
     start = Quat.of(quat_from_dcm(arrays[f"est_fine_{force}"][0]))
     method = Fine(filter=filter_of(parameters))
-    rows = eqx.filter_jit(method.refine)(epochs_of(arrays, log, force == "vondrak"), start)
+    rows = refine(method, epochs_of(arrays, log, force == "vondrak"), start)
     expected = quat_from_dcm(arrays[f"est_fine_{force}"])
     assert np.abs(np.rad2deg(attitude_error(rows.q_nb.array, expected))).max() < 1e-3
     biases = np.concatenate([rows.accel_bias.array, rows.gyro_bias.array], axis=1)[1:]
@@ -117,8 +126,8 @@ def test_frozen_coarse(shared, name, force, coarse):
 
 def test_noise_free_closure():
     """Perfect sensors, 30 deg of heading, a coarse attitude that is off: the filter comes back to the truth."""
-    log = simulate("disturbed", seed=0, noise=False, condition=1, duration=300.0)
-    found = align(build("fine"), log, every=100)
+    log = simulate("disturbed", seed=0, noise=False, condition=1, duration=SECONDS)
+    found = align(build("fine"), log)
     error = attitude_error_deg(found, log)
     assert np.abs(error[1:, :2]).max() < 1e-7
     assert np.abs(error[1:, 2]).max() < 1e-5
@@ -132,7 +141,7 @@ def test_noise_free_closure():
         {"filter.accel_bias_ug": 1e-3, "filter.gyro_bias_deg_h": 1e-6, "filter.gyro_walk_deg_sqrt_h": 1e-6}
         | {"filter.accel_noise_ug_sqrt_hz": 1e-3, "filter.velocity_sd": 1e-5, "filter.initial_velocity_sd": 1e-6},
     )
-    back = eqx.filter_jit(sure.refine)(epochs, wrong)
+    back = refine(sure, epochs, wrong)
     left = np.rad2deg(attitude_error(back.q_nb.array[-1], quat_from_dcm(log.C_nb[-1])))
     assert np.abs(left[:2]).max() < 1e-4
     assert abs(left[2]) < 1e-3  # what is second order in one degree
@@ -280,8 +289,8 @@ def test_band_and_squares_against_closed_forms():
         chi_square_band(3, 100, 1.5)
 
 
-def short(**options):
-    return simulate("disturbed", seed=2, condition=2, amplitude_mg=10.0, duration=20.0, **options)
+def short(duration=SECONDS):
+    return simulate("disturbed", seed=2, condition=2, amplitude_mg=10.0, duration=duration)
 
 
 def test_online_equals_offline():
@@ -289,10 +298,11 @@ def test_online_equals_offline():
     method = build("fine")
     epochs = method.epochs(log)
     start = Quat.of(quat_from_dcm(log.C_nb[0]))
-    whole = eqx.filter_jit(method.refine)(epochs, start)
+    whole = refine(method, epochs, start)
     state, step = method.filter.init(epochs.site, start), eqx.filter_jit(method.filter.step)
+    rows = jax.tree.map(np.asarray, epochs.rows)
     for k in range(30):
-        state, row = step(state, jax.tree.map(lambda x, k=k: x[k], epochs.rows))
+        state, row = step(state, jax.tree.map(lambda x, k=k: x[k], rows))
         np.testing.assert_allclose(row.q_nb.array, whole.q_nb.array[k], atol=1e-13)
         np.testing.assert_allclose(row.covariance, whole.covariance[k], rtol=1e-9, atol=1e-20)
 
@@ -302,7 +312,7 @@ def test_an_epoch_without_measurement_is_bridged():
     method = build("fine")
     epochs = method.epochs(log)
     gone = eqx.tree_at(lambda e: e.rows.valid, epochs, epochs.rows.valid.at[50:80].set(False))
-    rows = eqx.filter_jit(method.refine)(gone, Quat.of(quat_from_dcm(log.C_nb[0])))
+    rows = refine(method, gone, Quat.of(quat_from_dcm(log.C_nb[0])))
     updated = np.asarray(rows.updated)
     assert not updated[0]
     assert not updated[50:80].any()
@@ -322,8 +332,8 @@ def test_sparse_rows_are_those_of_all():
     log = short()
     method = build("fine")
     epochs, start = method.epochs(log), Quat.of(quat_from_dcm(log.C_nb[0]))
-    whole, sparse = (eqx.filter_jit(method.refine)(epochs, start, 0.0, every) for every in (1, 7))
-    rows = [*range(0, 201, 7), 200]
+    whole, sparse = (refine(method, epochs, start, every) for every in (1, 7))
+    rows = [*range(0, 601, 7), 600]
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(sparse), strict=True):
         np.testing.assert_allclose(np.asarray(a)[rows], b, rtol=1e-9, atol=1e-15)
 
@@ -346,7 +356,7 @@ def test_zero_position_holds_the_position():
 @pytest.mark.slow
 def test_gradients():
     """Forward = reverse = differences: velocity noise, bias prior and the cut-off of the filter in front."""
-    log = short()
+    log = short(20.0)
     reference = quat_from_dcm(log.C_nb[-1])
     fixed = {"dt": log.dt, "every": 200, "site": Site(log.lat, log.lon, log.h), "aid": "static"}
 

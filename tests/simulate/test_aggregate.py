@@ -25,6 +25,10 @@ def keys(runs, seed=1):
     return jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(jnp.arange(runs))
 
 
+measured = eqx.filter_jit(measure_epochs)
+
+
+@eqx.filter_jit
 def from_samples(made, exact, key):
     dtheta, dvel, velocity = measure(exact, made, key)
     fixed = {"dt": 1.0 / made.imu_rate, "every": SAMPLES, "site": made.site, "aid": made.aid}
@@ -40,7 +44,7 @@ def increments(epochs, intervals):
 def test_perfect_sensors():
     made, exact, intervals = problem()
     clean = noiseless(made)
-    found, expected = measure_epochs(intervals, clean, jax.random.key(0)), from_samples(clean, exact, jax.random.key(0))
+    found, expected = measured(intervals, clean, jax.random.key(0)), from_samples(clean, exact, jax.random.key(0))
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
     assert (found.aid, found.interval) == (expected.aid, expected.interval)
@@ -55,7 +59,7 @@ def test_biases_enter_to_first_order():
     biased = dataclasses.replace(quiet, gyro=gyro, accel=accel)
     found, expected = (
         increments(e, intervals)
-        for e in (measure_epochs(intervals, biased, jax.random.key(0)), from_samples(biased, exact, jax.random.key(0)))
+        for e in (measured(intervals, biased, jax.random.key(0)), from_samples(biased, exact, jax.random.key(0)))
     )
     assert np.abs(expected[:, :3]).max() > 2e-6
     assert np.abs(expected[:, 3:]).max() > 2e-3
@@ -66,7 +70,7 @@ def test_biases_enter_to_first_order():
 def test_the_same_run_has_the_same_biases_and_aid():
     made, exact, intervals = problem(outliers="fixed", gaps=((2.0, 3.0),))
     key = jax.random.key(5)
-    found, expected = measure_epochs(intervals, made, key), from_samples(made, exact, key)
+    found, expected = measured(intervals, made, key), from_samples(made, exact, key)
     np.testing.assert_array_equal(found.rows.valid, expected.rows.valid)
     assert not np.asarray(found.rows.valid)[2:4].any()
     np.testing.assert_array_equal(found.rows.velocity.array, expected.rows.velocity.array)
@@ -108,16 +112,18 @@ def test_a_disturbance_needs_samples():
 def test_differentiable_in_the_sensors():
     made, _, intervals = problem()
 
+    @jax.jit
     def size(density):
         some = eqx.tree_at(lambda s: s.gyro.density, made, density)
         return jnp.sum(measure_epochs(intervals, some, jax.random.key(3)).rows.dvel.x)
 
     at = made.gyro.density
-    slope = jax.grad(size)(at)
+    slopes = jax.jit(jax.grad(size))
+    slope = slopes(at)
     for h in (1e-2, 1e-3):
         numeric = (size(at * (1 + h)) - size(at * (1 - h))) / (2 * h * at)
         np.testing.assert_allclose(slope, numeric, rtol=1e-4)
-    assert np.isfinite(jax.grad(size)(jnp.zeros(())))
+    assert np.isfinite(slopes(jnp.zeros(())))
 
 
 @pytest.mark.exact

@@ -159,9 +159,9 @@ def test_vmap_over_keys_is_the_loop(sturn):
     setting = scenario("dvl-sturn", outliers="segment", duration=5.0)
     exact = truth(setting)
     keys = jax.random.split(jax.random.key(0), 3)
-    batch = jax.vmap(measure, (None, None, 0))(exact, setting, keys)
+    batch = eqx.filter_jit(jax.vmap(measure, (None, None, 0)))(exact, setting, keys)
     for i, key in enumerate(keys):
-        for together, alone in zip(batch, measure(exact, setting, key), strict=True):
+        for together, alone in zip(batch, eqx.filter_jit(measure)(exact, setting, key), strict=True):
             np.testing.assert_allclose(together[i], alone, rtol=1e-14)
 
 
@@ -188,17 +188,19 @@ def test_measurement_is_differentiable_in_the_errors():
     setting = scenario("disturbed", duration=1.0)
     exact = truth(setting)
 
+    @eqx.filter_jit
     def energy(s):
         dtheta, dvel, _ = measure(exact, s, jax.random.key(0))
         return jnp.sum(dtheta**2) * 1e6 + jnp.sum(dvel**2)
 
-    gradient = eqx.filter_grad(energy)(setting)
+    slopes = eqx.filter_jit(eqx.filter_grad(energy))
+    gradient = slopes(setting)
     for get in (lambda s: s.gyro.bias, lambda s: s.accel.sample_sd, lambda s: s.force.amplitude):
         direction = np.asarray(get(setting)).mean() * 1e-2
         up, down = (energy(eqx.tree_at(get, setting, replace_fn=lambda x, d=d: x + d)) for d in (direction, -direction))
         np.testing.assert_allclose(jnp.sum(get(gradient)) * 2 * direction, up - down, rtol=1e-4)
     # A deviation of zero has a finite gradient too.
-    assert np.all(np.isfinite(jax.tree.leaves(eqx.filter_grad(energy)(noiseless(setting)).gyro)[1]))
+    assert np.all(np.isfinite(jax.tree.leaves(slopes(noiseless(setting)).gyro)[1]))
 
 
 # --- what a user gets wrong -------------------------------------------------------------------------------

@@ -5,10 +5,12 @@ import time
 
 import numpy as np
 import pytest
-from studies import RUNS, assert_identical, small
+from studies import RUNS, assert_identical, result_of_small, small
 
 from jaxalign import UserError, with_parameters
 from jaxalign.study import Interrupted, Study, engine, run
+
+pytestmark = pytest.mark.xdist_group("study")  # one worker compiles for all
 
 
 @pytest.fixture(scope="module")
@@ -17,8 +19,8 @@ def study():
 
 
 @pytest.fixture(scope="module")
-def result(study):
-    return run(study)
+def result():
+    return result_of_small()
 
 
 def test_chunks_make_no_difference(study, result, tmp_path):

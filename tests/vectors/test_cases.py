@@ -11,6 +11,11 @@ RECURSIVE = {"observe.coriolis": "recursive", "observe.transport_rate": False}
 FED_BACK = {**RECURSIVE, "observe.transport_rate": True}
 
 
+def slow(*row):
+    """A further variant of a recipe that has a quick row: another program to compile."""
+    return pytest.param(*row, marks=pytest.mark.slow)
+
+
 def difference(shared, name, result, method, scheme, rows=slice(None), aid_sd=None, weights=True):
     """Largest element difference per epoch, the times, and the first epoch with an estimate on both sides."""
     arrays, log = case(shared, name)
@@ -27,16 +32,16 @@ def difference(shared, name, result, method, scheme, rows=slice(None), aid_sd=No
     [
         ("OBA", "oba", RECURSIVE, "lookback"),
         ("OBA_wen", "oba", FED_BACK, "lookback"),
-        ("OBA_win60", "oba", {**RECURSIVE, "observe.window": 60.0}, "lookback"),
+        slow("OBA_win60", "oba", {**RECURSIVE, "observe.window": 60.0}, "lookback"),
         ("OBA_2s", "oba", RECURSIVE, "interval_plain"),
         ("COBA_wen", "centred_oba", FED_BACK, "lookback"),
-        ("ROBA_vec", "roba", RECURSIVE, "lookback"),
+        slow("ROBA_vec", "roba", RECURSIVE, "lookback"),
         ("ROBA_vec_wen", "roba", FED_BACK, "lookback"),
-        ("ROBA_h", "roba", {**RECURSIVE, "weight.residual": "norm", "weight.gamma": 1.345}, "lookback"),
-        ("MOBA", "moba", RECURSIVE, "lookback"),
+        slow("ROBA_h", "roba", {**RECURSIVE, "weight.residual": "norm", "weight.gamma": 1.345}, "lookback"),
+        slow("MOBA", "moba", RECURSIVE, "lookback"),
         ("MOBA_wen", "moba", FED_BACK, "lookback"),
-        ("MOBA_inl", "moba", {**RECURSIVE, "weight.statistics": "inliers"}, "lookback"),
-        ("MOBA_win60", "moba", {**RECURSIVE, "observe.window": 60.0}, "lookback"),
+        slow("MOBA_inl", "moba", {**RECURSIVE, "weight.statistics": "inliers"}, "lookback"),
+        slow("MOBA_win60", "moba", {**RECURSIVE, "observe.window": 60.0}, "lookback"),
     ],
 )
 def test_dvl(shared, name, result, recipe, parameters, scheme):
@@ -55,12 +60,12 @@ ZERO = {"reconstruct.drop_constant": True, "reconstruct.process": 1e-8}
 @pytest.mark.parametrize(
     ("result", "parameters"),
     [
-        ("RKFW", RECURSIVE),
+        slow("RKFW", RECURSIVE),
         ("RKFW_wen", FED_BACK),
-        ("RKFW_exact", RECURSIVE),
+        slow("RKFW_exact", RECURSIVE),
         ("RKFW_wen_exact", FED_BACK),
-        ("RKFW_zero_wen", {**FED_BACK, **ZERO}),
-        ("RKF_R_literal", {**RECURSIVE, "reconstruct.as_published": True}),
+        slow("RKFW_zero_wen", {**FED_BACK, **ZERO}),
+        slow("RKF_R_literal", {**RECURSIVE, "reconstruct.as_published": True}),
     ],
 )
 def test_robust_kalman_reconstruction(shared, name, result, parameters):
@@ -74,6 +79,7 @@ def test_robust_kalman_reconstruction(shared, name, result, parameters):
     assert error[-1] < (2e-5 if "literal" in result else 1e-6)
 
 
+@pytest.mark.slow
 def test_weights_of_the_robust_kalman_filter(shared):
     """Per axis and epoch; the frozen ones are the smallest of the three axes."""
     import jax
@@ -108,16 +114,16 @@ STILL = {"observe.transport_rate": False}
     ("result", "recipe", "parameters"),
     [
         ("qmethod", "oba", {"estimate.normalise": True, "observe.transport_rate": False}),
-        ("wahba_unnorm", "oba", {"observe.transport_rate": False}),
+        slow("wahba_unnorm", "oba", {"observe.transport_rate": False}),
         ("wahba_centred", "centred_oba", {"observe.transport_rate": False}),
-        ("wahba_centred_full", "centred_oba", {}),
+        slow("wahba_centred_full", "centred_oba", {}),
         ("request_rho0.05", "request", STILL),
         ("request_rho0.1", "request", {**STILL, "estimate.rho": 0.1}),
-        ("optrequest_constR", "optimal_request", {**STILL, "estimate.noise": "constant"}),
+        slow("optrequest_constR", "optimal_request", {**STILL, "estimate.noise": "constant"}),
         ("optrequest_physR", "optimal_request", STILL),
         ("votvk_physR_k1", "vo_tvk", STILL),
         ("votvk_physR_k0.1", "vo_tvk", {**STILL, "estimate.kappa": 0.1}),
-        ("votvk_constR_k1", "vo_tvk", {**STILL, "estimate.noise": "constant"}),
+        slow("votvk_constR_k1", "vo_tvk", {**STILL, "estimate.noise": "constant"}),
     ],
 )
 def test_gps(shared, name, result, recipe, parameters):
@@ -138,12 +144,12 @@ def test_gps(shared, name, result, recipe, parameters):
     ("result", "recipe", "parameters"),
     [
         ("scheme1", "gravity_q", {"observe.interval_samples": 2}),
-        ("scheme2", "velocity_q", {"observe.interval_samples": 2, "estimate.normalise": True}),
+        slow("scheme2", "velocity_q", {"observe.interval_samples": 2, "estimate.normalise": True}),
         ("scheme2w", "velocity_q", {"observe.interval_samples": 2}),
         ("triad_f", "dual_vector", {"vectors": "ends", "interval_samples": 2}),
-        ("triad_v", "dual_vector", {"vectors": "halves", "interval_samples": 2}),
-        ("scheme1_aidrate", "gravity_q", {}),
-        ("scheme2_aidrate", "velocity_q", {"estimate.normalise": True}),
+        slow("triad_v", "dual_vector", {"vectors": "halves", "interval_samples": 2}),
+        slow("scheme1_aidrate", "gravity_q", {}),
+        slow("scheme2_aidrate", "velocity_q", {"estimate.normalise": True}),
     ],
 )
 def test_self(shared, name, result, recipe, parameters):
@@ -165,13 +171,13 @@ EACH = {"estimate.averaging": 0.0}
     ("result", "recipe", "parameters", "early_deg", "late_deg"),
     [
         ("scheme3_cum", "quaternion_kf", EACH, 1e-6, 1e-6),
-        ("scheme3_fix", "quaternion_kf", {**EACH, **FIXED}, 1e-6, 1e-6),
-        ("scheme3_full", "quaternion_kf", {**EACH, "estimate.noise": "full"}, 2e-6, 2e-6),  # R is nearly singular
+        slow("scheme3_fix", "quaternion_kf", {**EACH, **FIXED}, 1e-6, 1e-6),
+        slow("scheme3_full", "quaternion_kf", {**EACH, "estimate.noise": "full"}, 2e-6, 2e-6),  # R is nearly singular
         ("scheme4_cum", "rls_quaternion_kf", {}, 1e-2, 1e-3),
-        ("scheme4_fix", "rls_quaternion_kf", FIXED, 1e-2, 1e-3),
-        ("scheme4_full", "rls_quaternion_kf", {"estimate.noise": "full"}, 1e-2, 1e-3),
+        slow("scheme4_fix", "rls_quaternion_kf", FIXED, 1e-2, 1e-3),
+        slow("scheme4_full", "rls_quaternion_kf", {"estimate.noise": "full"}, 1e-2, 1e-3),
         ("scheme4q", "rls_q", {}, 1e-2, 1e-3),
-        ("triad_rls", "dual_vector", {"vectors": "rls"}, 1e-2, 2e-3),
+        slow("triad_rls", "dual_vector", {"vectors": "rls"}, 1e-2, 2e-3),
     ],
 )
 def test_self_filters(shared, name, result, recipe, parameters, early_deg, late_deg):
@@ -192,7 +198,7 @@ def test_self_filters(shared, name, result, recipe, parameters, early_deg, late_
     ("result", "recipe", "parameters"),
     [
         ("triad_none", "triad", {}),
-        ("ifba_none", "dual_vector", {"vectors": "boxcar", "interval_samples": 1}),
+        slow("ifba_none", "dual_vector", {"vectors": "boxcar", "interval_samples": 1}),
         ("ifbahann_none", "dual_vector", {"vectors": "hann", "interval_samples": 1}),
     ],
 )

@@ -46,6 +46,15 @@ def test_recursive_coriolis_costs_what_is_known():
     assert 1e-3 < error[-1].max() < 4e-3
 
 
+def test_feedback_every_tenth_epoch_costs_what_the_readme_says():
+    """The transport rate is turned by attitudes up to ten epochs old."""
+    log = simulate("dvl-sturn", 1, noise=False)
+    one, ten = (align(build("oba"), log, every=every) for every in (1, 10))
+    for seconds, low, high in ((60, 0.05, 0.06), (300, 0.002, 0.003)):
+        cost = [abs(attitude_error_deg(x, log)[list(np.asarray(x.time)).index(seconds), 2]) for x in (one, ten)]
+        assert low < cost[1] - cost[0] < high
+
+
 def test_neglected_transport_rate_is_the_predicted_yaw_bias():
     """-v_N / (R w_ie cos lat) with the mean north velocity (Xu's scenario: 0.43 deg at 3 m/s)."""
     from jaxalign.earth import EARTH_RATE, radii

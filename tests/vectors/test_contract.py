@@ -7,47 +7,51 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import EPOCHS, RECIPES, ROWS, epochs_of, log_of, method_of, solver, sparse, velocities
+from problems import EPOCHS, RECIPES, ROWS, epochs_of, log_of, method_of, solver, velocities
 
-from jaxalign import Aligner, Epochs, Quat, Status, Vec3, align, with_parameters
+from jaxalign import Aligner, Epochs, Quat, Status, Vec3, align
 from jaxalign.metrics import attitude_error_deg
 
-rows = pytest.mark.parametrize(("name", "aid"), ROWS)
-moving = pytest.mark.parametrize(("name", "aid"), [row for row in ROWS if row[1] != "static"])
 # What is known of single recipes; their docstrings say why.
 CLOSURE_DEG = {"rkf_oba": 0.05, "request": 0.1, "vo_tvk": 0.2, "rls_q": 0.03, "rls_quaternion_kf": 0.03}
 LOOKS_AT_RESIDUALS = ("roba",)
-SEEN_ELSEWHERE = ("velocity_q", "rls_q", "fine", "robust_map")  # or, like the last, costly
+# One of every kind: what batches, sparse rows and single steps have of their own depends on the kind of recursion.
+# (roba among many runs: test_study.py.)
+KINDS = ("dual_vector", "oba", "moba", "centred_oba", "rkf_oba", "revising_oba", "request", "quaternion_kf")
 # The covariance starts at a radian, and loses 1e-7 of what the fixes say to rounding.
 ROUNDING = {"robust_map": 2e-7}
 FORGETS = ("request",)
 BOUND_TO_THE_AXES = ("rkf_oba", "vo_tvk")
-WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
 
 
 # A wide first covariance, or a search, makes much of the last bits.
 SENSITIVE = ("rkf_oba", "revising_oba")
 
 
-def _further_aids_slow(rows, sensitive=()):
-    """Where compiling costs most, a recipe's further aids, and recipes of slots seen elsewhere, are slow tests."""
+# The aid is the business of one slot, which these recipes show with each of them; others with a further aid are slow.
+EVERY_AID = ("oba", "robust_map")
+
+
+def _slow(every_aid=(), kinds=tuple(RECIPES), sensitive=()):
+    """Rows, slow with a further aid (but of some recipes), and where another recipe is of the same kind."""
 
     def marks(name, aid):
-        quick = aid == RECIPES[name].aids[0] and name not in SEEN_ELSEWHERE
+        quick = (aid == RECIPES[name].aids[0] or name in every_aid) and name in kinds
         return [*([] if quick else [pytest.mark.slow]), *([pytest.mark.exact] if name in sensitive else [])]
 
-    marked = [pytest.param(name, aid, marks=marks(name, aid)) for name, aid in rows]
-    return pytest.mark.parametrize(("name", "aid"), marked)
+    def parametrize(rows):
+        marked = [pytest.param(name, aid, marks=marks(name, aid)) for name, aid in rows]
+        return pytest.mark.parametrize(("name", "aid"), marked)
+
+    return parametrize
 
 
-first_aids = _further_aids_slow(ROWS)
-first_aids_exact = _further_aids_slow(ROWS, SENSITIVE)
-# Their compilation takes a minute each: test_fine.py, and test_robust_map.py, test_tunables.py, test_robust.py.
-GRADIENTS_ELSEWHERE = ("fine", "robust_map")
-QUICK_GRADIENTS = ("oba", "roba", "gravity_q", "triad", "request")  # the others compile for 15 s each
-
-
-first_slots = _further_aids_slow([row for row in ROWS if isinstance(method_of(*row), Aligner)], SENSITIVE)
+rows = _slow(EVERY_AID)(ROWS)
+moving = _slow(EVERY_AID)([row for row in ROWS if row[1] != "static"])
+# These compile programs of their own.
+first_aids = _slow((), KINDS)(ROWS)
+first_aids_exact = _slow((), KINDS, SENSITIVE)(ROWS)
+first_slots = _slow((), KINDS, SENSITIVE)([row for row in ROWS if isinstance(method_of(*row), Aligner)])
 
 
 def truth_dcm(aid):
@@ -58,7 +62,8 @@ def truth_dcm(aid):
 
 def angle(q, p):
     """Rotation between two quaternion arrays, rad."""
-    return 2 * np.linalg.norm((Quat.of(q) * Quat.of(p).conjugate()).positive().vector.array, axis=-1)
+    (q0, q), (p0, p) = ((x[..., :1], x[..., 1:]) for x in (np.asarray(q), np.asarray(p)))
+    return 2 * np.linalg.norm(p0 * q - q0 * p - np.cross(q, p), axis=-1)
 
 
 @rows
@@ -92,13 +97,14 @@ def test_online_equals_offline(name, aid):
     method, epochs = method_of(name, aid), epochs_of(aid)
     whole = solver()(method, epochs)
     state = method.init(epochs.site, epochs.interval, epochs.aid_sd)
-    step = eqx.filter_jit(method.step)
+    step, rows, out = eqx.filter_jit(method.step), jax.tree.map(np.asarray, epochs.rows), []
     for k in range(len(epochs)):
-        state, row = step(state, jax.tree.map(lambda x, k=k: x[k], epochs.rows))
-        gap = float(whole.eigengap[k])
-        rounding = 4e-16 / max(gap, 1e-15) if gap > 0 and whole.defined[k] else 0.0
-        assert angle(row.q_nb, whole.q_nb[k]) < 1e-12 + rounding
-        assert row.status == whole.status[k]
+        state, row = step(state, jax.tree.map(lambda x, k=k: x[k], rows))
+        out.append(row)
+    gap, defined = np.asarray(whole.eigengap), np.asarray(whole.defined)
+    rounding = np.where((gap > 0) & defined, 4e-16 / np.maximum(gap, 1e-15), 0.0)
+    assert np.all(angle(np.stack([row.q_nb for row in out]), whole.q_nb) < 1e-12 + rounding)
+    np.testing.assert_array_equal([row.status for row in out], whole.status)
 
 
 @first_aids_exact
@@ -119,7 +125,7 @@ def test_vmap_over_logs_and_tunables_equals_loop(name, aid):
 
 
 @first_aids
-@pytest.mark.parametrize("every", [7, pytest.param(10**6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [6, *(pytest.param(n, marks=pytest.mark.slow) for n in (7, 10**6))])
 def test_sparse_readout(name, aid, every):
     """Rows at 0, every, 2 every, ... and the last epoch; the same attitudes, but for the feedback's age."""
     method, epochs = method_of(name, aid), epochs_of(aid)
@@ -154,66 +160,7 @@ def test_missing_aid_is_skipped(name, aid):
     assert after < 2 * before + most
 
 
-@pytest.mark.parametrize(
-    ("name", "aid"),
-    [
-        pytest.param(
-            *row, marks=() if row[0] in QUICK_GRADIENTS and row[1] == RECIPES[row[0]].aids[0] else pytest.mark.slow
-        )
-        for row in ROWS
-        if row[0] not in GRADIENTS_ELSEWHERE
-    ],
-)
-def test_gradients(name, aid):
-    """Forward = reverse = central differences at two step sizes: aid velocities (all at once) and latitude.
-
-    What stands in a missing sample reaches neither values nor gradients.
-    """
-    method = with_parameters(method_of(name, aid), WITHOUT_CORNERS.get(name, {}))
-    direction = np.random.default_rng(5).normal(size=(EPOCHS + 1, 3)) * (0 if aid == "static" else 1)
-    direction[20] = 0.0
-    weights = jnp.array([0.3, -0.5, 1.0])
-    base = velocities(aid) if aid != "static" else np.zeros((EPOCHS + 1, 3))
-
-    def epochs_at(s):
-        velocity = None if aid == "static" else base + s[0] * direction
-        epochs = epochs_of(aid, velocity=velocity, lat=log_of(aid).lat + s[1])
-        if aid == "static":
-            return epochs
-        rows = eqx.tree_at(lambda r: (r.valid, r.velocity.x), epochs.rows, _at_20(epochs.rows, s[2]))
-        return eqx.tree_at(lambda e: e.rows, epochs, rows)
-
-    every = sparse(name)
-    reference = Quat.of(solver(every)(method, epochs_at(np.zeros(3))).q_nb[-1]).conjugate()
-
-    def loss(s):
-        q = Quat.of(method.solve(epochs_at(s), every).q_nb[-1]) * reference
-        return jnp.dot(weights, q.log().array)
-
-    at = jnp.array([0.0, 0.0, 123.0])
-    both = jax.jit(jax.value_and_grad(loss))  # one program for the reverse mode and for the differences
-    forward, reverse = jax.jit(jax.jacfwd(loss))(at), both(at)[1]
-    rounding = 1e-7 if name == "vo_tvk" else 1e-8  # it begins with a relative gap of 2e-12
-    np.testing.assert_allclose(forward, reverse, rtol=rounding, atol=1e-12)
-    # m/s, rad: larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem
-    # (vo_tvk has no corners).
-    for i, steps in enumerate(((1e-3, 2e-4), (2e-3, 1e-3) if name == "vo_tvk" else (5e-5, 2e-5))):
-        for h in steps:
-            e = jnp.zeros(3).at[i].set(h)
-            numeric = (both(at + e)[0] - both(at - e)[0]) / (2 * h)
-            np.testing.assert_allclose(forward[i], numeric, rtol=1e-4, atol=2e-7)
-    if aid != "static":
-        assert abs(forward[0]) > 1e-6
-    assert (abs(forward[1]) > 1e-6) == (name != "triad")  # up and east need no latitude
-    assert forward[2] == 0
-    assert both(at.at[2].set(-7.0))[0] == both(at)[0]
-
-
-def _at_20(rows, x):
-    return rows.valid.at[20].set(False), rows.velocity.x.at[20].set(x)
-
-
-@first_aids
+@rows
 @settings(max_examples=5, deadline=None)
 @given(vector=st.tuples(*[st.floats(-2, 2)] * 3))
 def test_turning_the_body_frame_turns_the_answer(name, aid, vector):
@@ -246,6 +193,7 @@ def test_turning_the_body_frame_turns_the_answer(name, aid, vector):
 
 
 @rows
+@pytest.mark.uncached
 def test_no_recompilation_for_other_data(name, aid, caplog):
     method = method_of(name, aid)
     align(method, epochs_of(aid, 1))

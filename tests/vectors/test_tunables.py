@@ -4,12 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import ROWS, epochs_of, log_of, sparse
+from problems import RECIPES, ROWS
+from slopes import Slopes
 
-from jaxalign import Quat, parameters
 from jaxalign.methods import build
-from jaxalign.parameters import tunables, with_parameters
-from jaxalign.rotation import quat_from_dcm
+from jaxalign.parameters import tunables
 from jaxalign.tune import space_of
 
 # What each recipe is set to, so that all its numbers have an effect and none is zero; then what may be tuned.
@@ -23,131 +22,108 @@ AID = "scale_sd mounting_sd_deg latency_sd lever_sd"
 POSITION = "position_sd initial_position_sd"
 CONSTANT = {"estimate.noise": "constant"}
 TABLE = [
-    # recipe, settings, prefilter, tunables with an effect, tunables without
-    ("triad", {}, None, "", ""),
-    ("dual_vector", {}, None, "", ""),
-    ("gravity_q", {}, None, "", ""),
-    ("velocity_q", {}, None, "", ""),
-    ("oba", {}, None, "", ""),
-    ("centred_oba", {}, None, "", ""),
-    ("revising_oba", {}, None, "estimate.cutoff", ""),
-    ("roba", {"weight.gamma": 1.0}, None, "weight.gamma", ""),
-    ("roba", {"weight.residual": "norm", "weight.gamma": 1.0}, None, "weight.gamma", ""),
+    # recipe, settings, tunables with an effect, tunables without
+    ("triad", {}, "", ""),
+    ("dual_vector", {}, "", ""),
+    ("gravity_q", {}, "", ""),
+    ("velocity_q", {}, "", ""),
+    ("oba", {}, "", ""),
+    ("centred_oba", {}, "", ""),
+    ("revising_oba", {}, "estimate.cutoff", ""),
+    ("roba", {"weight.gamma": 1.0}, "weight.gamma", ""),
+    ("roba", {"weight.residual": "norm", "weight.gamma": 1.0}, "weight.gamma", ""),
     (
         "moba",
         {"weight.delta": 1.0, "weight.threshold": 0.8},
-        None,
         "weight.gamma weight.delta",
         "weight.threshold weight.sharpness",
     ),
     (
         "moba",
         {"weight.delta": 1.0, "weight.threshold": 0.8, "weight.gate": "smooth"},
-        None,
         "weight.gamma weight.delta weight.threshold weight.sharpness",
         "",
     ),
     (
         "moba",
         {"weight.delta": 1.0, "weight.threshold": 0.8, "weight.gate": "smooth", "weight.statistics": "inliers"},
-        None,
         "weight.gamma weight.delta weight.threshold weight.sharpness",
         "",
     ),
     (
         "rkf_oba",
         {"reconstruct.prior": 1e4, "reconstruct.gamma": 0.3},
-        None,
         "reconstruct.gamma reconstruct.process reconstruct.prior",
         "",
     ),
-    ("request", {}, None, "estimate.rho", ""),
-    ("optimal_request", {"estimate.process": 1e-9}, None, "estimate.process", "estimate.variance"),
-    ("optimal_request", {**CONSTANT, "estimate.process": 1e-3}, None, "estimate.process estimate.variance", ""),
-    ("vo_tvk", {}, None, "estimate.kappa estimate.prior", "estimate.variance"),
-    ("vo_tvk", CONSTANT, None, "estimate.kappa estimate.prior estimate.variance", ""),
-    ("quaternion_kf", {}, None, "estimate.variance estimate.prior", ""),
-    ("quaternion_kf", {"estimate.noise": "fixed"}, None, "estimate.variance estimate.prior", ""),
+    ("request", {}, "estimate.rho", ""),
+    ("optimal_request", {"estimate.process": 1e-9}, "estimate.process", "estimate.variance"),
+    ("optimal_request", {**CONSTANT, "estimate.process": 1e-3}, "estimate.process estimate.variance", ""),
+    ("vo_tvk", {}, "estimate.kappa estimate.prior", "estimate.variance"),
+    ("vo_tvk", CONSTANT, "estimate.kappa estimate.prior estimate.variance", ""),
+    ("quaternion_kf", {}, "estimate.variance estimate.prior", ""),
+    ("quaternion_kf", {"estimate.noise": "fixed"}, "estimate.variance estimate.prior", ""),
     (
         "rls_quaternion_kf",
         {"reconstruct.forgetting": 0.95},
-        None,
         "reconstruct.forgetting reconstruct.prior estimate.variance estimate.prior",
         "",
     ),
-    ("rls_q", {"reconstruct.forgetting": 0.95}, None, "reconstruct.forgetting reconstruct.prior", ""),
+    ("rls_q", {"reconstruct.forgetting": 0.95}, "reconstruct.forgetting reconstruct.prior", ""),
     (
         "fine",
         WALKS,
-        None,
         " ".join(f"filter.{x}" for x in FINE.split()) + " heading_margin",
         " ".join(f"filter.{x}" for x in POSITION.split()),
     ),
     (
         "fine",
         {**WALKS, "filter.form": "published"},
-        None,
         " ".join(f"filter.{x}" for x in FINE.split()) + " heading_margin",
         " ".join(f"filter.{x}" for x in POSITION.split()),
     ),
     (
         "fine",
         {**WALKS, "filter.updates": "position"},
-        None,
         " ".join(f"filter.{x}" for x in (FINE + " " + POSITION).split()) + " heading_margin",
         "",
     ),
     (
         "robust_map",
         {"calibrate": "mounting+latency+lever"},
-        None,
         " ".join(f"imu.{x}" for x in IMU.split()) + f" outliers spread {AID}",
         "",
     ),
 ]
 STEPS = {"moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
-QUICK = ("roba", "request")  # the others compile for 15 s each
+QUICK = ("roba", "request")  # whose programs test_gradients.py has compiled
 
 
 def expanded():
-    for name, settings, prefilter, active, idle in TABLE:
+    for name, settings, active, idle in TABLE:
         for row, aid in ROWS:
             if row == name and (active or idle) and (aid == "body" or "calibrate" not in settings):
                 label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
-                quick = name in QUICK and aid == "body"
+                quick = name in QUICK and aid == RECIPES[name].aids[0] and "weight.residual" not in settings
                 marks = () if quick else pytest.mark.slow
-                yield pytest.param(name, aid, settings, prefilter, active.split(), idle.split(), id=label, marks=marks)
+                yield pytest.param(name, aid, settings, active.split(), idle.split(), id=label, marks=marks)
 
 
 def test_the_table_is_whole():
     """Every tunable of every recipe has a row in which it has an effect."""
     for name in {row for row, _ in ROWS}:
         known = set(tunables(build(name)))
-        listed = {path for row in TABLE if row[0] == name for path in row[3].split()}
+        listed = {path for row in TABLE if row[0] == name for path in row[2].split()}
         assert listed == known, name
 
 
-@pytest.mark.parametrize(("name", "aid", "settings", "prefilter", "active", "idle"), list(expanded()))
-def test_derivatives(name, aid, settings, prefilter, active, idle):
+@pytest.mark.parametrize(("name", "aid", "settings", "active", "idle"), list(expanded()))
+def test_derivatives(name, aid, settings, active, idle):
     """60 epochs over 300 s; by relative changes of the numbers."""
-    method = build(name, aid, settings, prefilter)
-    assert set(tunables(method)) == {*active, *idle}
-    paths = [*active, *idle]
-    epochs = epochs_of(aid)
-    truth = Quat.of(quat_from_dcm(log_of(aid).C_nb[0])).conjugate()
-    at = jnp.array([float(parameters(method)[path]) for path in paths])
-    weights = jnp.array([0.3, -0.5, 1.0])
-
-    def loss(relative):
-        changed = with_parameters(method, dict(zip(paths, at * jnp.exp(relative), strict=True)))
-        found = changed.solve(epochs, sparse(name))
-        q = Quat.of(found.q_nb[-1]) * truth
-        return jnp.dot(weights, q.log().array), found.eigengap[-1]
-
-    zero = jnp.zeros(len(paths))
-    both = jax.jit(jax.value_and_grad(loss, has_aux=True))
-    (value, gap), reverse = both(zero)
-    forward, _ = jax.jit(jax.jacfwd(loss, has_aux=True))(zero)
+    slopes = Slopes(name, aid, settings)
+    assert set(slopes.paths) == {*active, *idle}
+    value, reverse, _, gap = slopes.reverse(slopes.zero)
+    reverse, forward = reverse[3:], slopes.forward(slopes.zero)[3:]
     assert np.isfinite(reverse).all()
     scale = np.maximum(np.abs(forward), abs(value))
     # An eigenvector is known to the rounding over its gap: 4e-11 rad where the gap is 5e-6 (vo_tvk), else below 1e-8.
@@ -155,15 +131,11 @@ def test_derivatives(name, aid, settings, prefilter, active, idle):
     assert np.all(np.abs(reverse - forward) <= 1e-8 * scale + rounding), (reverse, forward)
     # Larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem.
     for h in STEPS.get(name, (1e-3, 3e-4)):
-        ends = [[both(zero.at[i].set(x))[0][0] for x in (h, -h)] for i in range(len(paths))]
-        numeric = np.array([(a - b) / (2 * h) for a, b in ends])
+        numeric = np.array([slopes.difference(3 + i, h) for i in range(len(forward))])
         assert np.all(np.abs(numeric - forward) <= 1e-4 * scale), dict(
-            zip(paths, zip(numeric, forward, strict=True), strict=True)
+            zip(slopes.paths, zip(numeric, forward, strict=True), strict=True)
         )
-    print(
-        f"\n{'path':40s}{'d loss / d ln':>16s}", *(f"\n{p:40s}{s:16.6e}" for p, s in zip(paths, forward, strict=True))
-    )
-    for path, slope in zip(paths, forward, strict=True):
+    for path, slope in zip(slopes.paths, forward, strict=True):
         assert (slope != 0) == (path in active), path
 
 
@@ -193,22 +165,13 @@ def test_derivatives(name, aid, settings, prefilter, active, idle):
 )
 def test_finite_at_the_bounds(name, aid, settings, where):
     """Values and derivatives with each number at a bound, the others as they are, and with all of them there."""
-    method, epochs = build(name, aid, settings), epochs_of(aid)
-    bounds = tunables(method)
-    paths = list(bounds)
-    ends = np.array([bounds[path][0 if where == "low" else 1] for path in paths])
-    usual = np.array([float(parameters(method)[path]) for path in paths])
-
-    @jax.jit
-    @jax.value_and_grad
-    def loss(x):
-        changed = with_parameters(method, dict(zip(paths, x, strict=True)))
-        return jnp.sum(Quat.of(changed.solve(epochs, sparse(name)).q_nb).log().array ** 2)
-
-    for some in [*np.eye(len(paths), dtype=bool), np.ones(len(paths), bool)]:
-        value, slope = loss(jnp.asarray(np.where(some, ends, usual)))
+    slopes = Slopes(name, aid, settings, "rows")
+    bounds = tunables(build(name, aid, settings))
+    ends = np.array([bounds[path][0 if where == "low" else 1] for path in slopes.paths])
+    for some in [*np.eye(len(ends), dtype=bool), np.ones(len(ends), bool)]:
+        value, slope, *_ = slopes.reverse(slopes.zero, np.where(some, ends, slopes.numbers))
         assert np.isfinite(value)
-        assert np.isfinite(slope).all(), (np.array(paths)[some], dict(zip(paths, slope, strict=True)))
+        assert np.isfinite(slope).all(), (np.array(slopes.paths)[some], dict(zip(slopes.paths, slope[3:], strict=True)))
 
 
 def test_free_numbers_stay_within_their_bounds():

@@ -1,0 +1,69 @@
+"""Derivatives of every recipe by its data: forward = reverse = central differences at two step sizes."""
+
+import numpy as np
+import pytest
+from problems import RECIPES, ROWS, velocities
+from slopes import Slopes
+
+WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
+# Their compilation takes a minute each: test_fine.py, and test_robust_map.py, test_tunables.py, test_robust.py.
+GRADIENTS_ELSEWHERE = ("fine", "robust_map")
+# One of every kind: a step with a weight, one that forgets, a standing vehicle, and a whole record. The others are
+# slow tests; their slots have tests of their own.
+QUICK = ("roba", "request", "gravity_q", "triad")
+rows = pytest.mark.parametrize(
+    ("name", "aid"),
+    [
+        pytest.param(name, aid, marks=() if name in QUICK and aid == RECIPES[name].aids[0] else pytest.mark.slow)
+        for name, aid in ROWS
+        if name not in GRADIENTS_ELSEWHERE
+    ],
+)
+
+
+@rows
+def test_gradients(name, aid):
+    """Aid velocities (all at once) and latitude.
+
+    What stands in a missing sample reaches neither values nor gradients.
+    """
+    slopes = Slopes(name, aid, WITHOUT_CORNERS.get(name, {}))
+    at = slopes.zero + np.where(np.arange(len(slopes.zero)) == 2, 123.0, 0.0)
+    forward, (value, reverse, *_) = slopes.forward(at)[:3], slopes.reverse(at)
+    rounding = 1e-7 if name == "vo_tvk" else 1e-8  # it begins with a relative gap of 2e-12
+    np.testing.assert_allclose(forward, reverse[:3], rtol=rounding, atol=1e-12)
+    # m/s, rad: larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem
+    # (vo_tvk has no corners).
+    for i, steps in enumerate(((1e-3, 2e-4), (2e-3, 1e-3) if name == "vo_tvk" else (5e-5, 2e-5))):
+        for h in steps:
+            np.testing.assert_allclose(forward[i], slopes.difference(i, h), rtol=1e-4, atol=2e-7)
+    if aid != "static":
+        assert abs(forward[0]) > 1e-6
+    assert (abs(forward[1]) > 1e-6) == (name != "triad")  # up and east need no latitude
+    assert forward[2] == 0
+    at[2] = -7.0
+    assert slopes.reverse(at)[0] == value
+
+
+@pytest.mark.parametrize(
+    ("name", "aid"),
+    [
+        pytest.param(name, recipe.aids[0], marks=() if name in QUICK else pytest.mark.slow)
+        for name, recipe in RECIPES.items()
+        if recipe.aids != ("static",)
+    ],
+)
+def test_gradients_stay_finite_with_outliers_and_gaps(name, aid):
+    """In the velocities (all of them) and in every tunable, with outliers of every kind among 60 epochs."""
+    velocity = velocities(aid).copy()
+    velocity[1] += 1e3
+    velocity[7:9] *= 300.0
+    velocity[15, 0] += 30.0
+    velocity[30:33] = np.nan
+    velocity[40] = velocity[41] = 0.0
+    slopes = Slopes(name, aid, {}, "defined", velocity)
+    value, slope, by_velocity, _ = slopes.reverse(slopes.zero)
+    assert np.isfinite(value)
+    assert np.isfinite(slope).all()
+    assert np.isfinite(by_velocity).all()
+    assert (by_velocity[30:33] == 0).all()
