@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.aid_noise import white_noise_sd
 from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, check_prefilter, epochs_from_log
+from jaxalign.epochs import Epoch, Epochs, check_prefilter, epochs_from_log, over_runs
 from jaxalign.errors import UserError
 from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
@@ -215,6 +215,10 @@ class Aligner(eqx.Module):
     def solve(self, epochs: Epochs, every: int = 1) -> Solution:
         """Align epochs: one compiled scan; also inside jit, vmap and grad."""
         return _jitted(without_prefilter(self), epochs, every)
+
+    def solve_runs(self, epochs: Epochs, every: int = 1) -> Solution:
+        """Align many runs, see :func:`jaxalign.epochs.over_runs`."""
+        return over_runs(lambda one: self.solve(one, every), epochs)
 
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`align`."""

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from jaxalign.aligner import epochs_for
-from jaxalign.batch import GRADES, ImuErrors, RobustMap, imu_errors
+from jaxalign.batch.imu import GRADES, ImuErrors, imu_errors
+from jaxalign.batch.iterate import on_host
+from jaxalign.batch.robust_map import FEWEST_FIXES, RobustMap
 from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.methods import build
@@ -104,27 +106,24 @@ def _interval(log: Log, step: float) -> int | None:
 def _grade(base: RobustMap, log: Log, aid_sd: Any) -> tuple[str, tuple[str, ...]]:
     """The finest grade that the data do not speak against, and what to say of it."""
     epochs = epochs_for(base, log, aid_sd)
-    last = len(epochs) - 1
-    found = {grade: dataclasses.replace(base, imu=imu_errors(grade)).solve(epochs, max(last, 1)) for grade in GRADES}
+    figures = np.array([GRADES[grade] for grade in GRADES]).T
+    model = dataclasses.replace(base.model, imu=ImuErrors(*figures))
+    last = np.full(len(GRADES), len(epochs) - 1)
+    read = on_host(model, epochs, last, base.iterations, base.starts).read
     coarsest = list(GRADES)[-1]
-    likelihood = {}
-    for grade, solution in found.items():
-        assert solution.filter is not None
-        if bool(solution.defined[-1]):
-            likelihood[grade] = float(np.asarray(solution.filter.log_likelihood)[-1])
-    if not likelihood:
+    likelihood = {grade: float(x) for grade, x in zip(GRADES, read.log_likelihood, strict=True) if np.isfinite(x)}
+    if not likelihood or int(np.sum(np.asarray(epochs.rows.valid))) < FEWEST_FIXES:
         return coarsest, (f"inertial unit: {coarsest}, as the log has too few fixes to tell",)
     best = max(likelihood.values())
     grade = next(x for x, value in likelihood.items() if value > best - _MARGIN)
     told = ", ".join(f"{x} {value - best:.1f}" for x, value in likelihood.items())
     why = f"inertial unit: {grade}, the finest grade that the data allow (log-likelihood to the best: {told})"
-    record, imu = found[grade].filter, imu_errors(grade)
-    assert record is not None
+    own, imu = list(GRADES).index(grade), imu_errors(grade)
     beyond = [
         f"{name} biases of {size:.1f} times what is usual"
         for name, size in (
-            ("gyroscope", np.max(np.abs(np.asarray(record.gyro_bias)[-1])) / float(imu.gyro_bias)),
-            ("accelerometer", np.max(np.abs(np.asarray(record.accel_bias)[-1])) / float(imu.accel_bias)),
+            ("gyroscope", np.max(np.abs(read.gyro[:, own])) / float(imu.gyro_bias)),
+            ("accelerometer", np.max(np.abs(read.accel[:, own])) / float(imu.accel_bias)),
         )
         if size > _BEYOND
     ]

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import TILT, UNKNOWN, Guess, navigated
-from jaxalign.batch.smoother import Prior, filtered, fixes
+from jaxalign.batch.smoother import Prior, filtered
+from jaxalign.batch.solver import Model, Problem, State, linearized
+from jaxalign.batch.trajectory import TILT, UNKNOWN, Trajectory
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.precision import require_x64
@@ -41,20 +42,30 @@ class Bound(eqx.Module):
 
 @eqx.filter_jit
 def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) -> Bound:
-    c_n0b0 = Quat.of(quat_from_dcm(exact.C_nb[0]))
-    guess = Guess.of(c_n0b0, Vec3.of(exact.velocity_n[0]))
-    path = navigated(epochs, guess)
-    measured = fixes(path, epochs.rows.velocity, epochs.rows.valid, epochs.aid)
-    variance = jnp.full(len(epochs), 1.0) * sd**2
+    one, count = jax.tree.map(lambda x: x[:, None], epochs.rows), len(epochs)
+    q_nb = Quat.of(quat_from_dcm(exact.C_nb))
+    model = Model(imu, jnp.zeros(()), jnp.ones(()), jnp.zeros(0), jnp.zeros(0), (), "stated", epochs.aid)
+    problem = Problem(one, epochs.site, sd, jnp.asarray([count - 1]))
+    # Attitude and velocity in n0 need the turn of n, which follows the velocity in n: twice from an n at rest.
+    q_n0n = jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), Quat.identity())
+    still = jnp.zeros((count, 1))
+    for _ in range(3):
+        velocity = q_n0n.rotate(Vec3.of(exact.velocity_n))
+        lanes = jax.tree.map(lambda x: x[:, None], (q_n0n * q_nb, velocity))
+        at = Trajectory(*lanes, Vec3(still, still, still), Vec3(still, still, still))
+        steady = at.velocity if epochs.aid == "nav" else None
+        state = State(at, jnp.zeros((0, 1)), jnp.ones((count, 1)), jnp.ones(1) * sd**2, jnp.ones(1), steady)
+        linear = linearized(model, problem, state)
+        q_n0n = jax.tree.map(lambda x: x[:, 0], linear.intervals.q_n0n)
     speed = jnp.where(known, _EXACT, _FAST)
     deviations = jnp.concatenate([jnp.full(3, UNKNOWN), jnp.full(3, speed), *_biases(imu)])
-    found = filtered(path, measured, variance, imu, Prior(jnp.zeros(12), deviations**2), keep=True)
-    turned = path.q_n0n.matrix.array
-    covariance = jnp.einsum("kji,kjl,klm->kim", turned, found.covariance[:, TILT, TILT], turned)
-    q_nb = path.q_n0n.conjugate() * path.q_n0b
+    prior = Prior(jnp.zeros((12, 1)), deviations[:, None] ** 2)
+    found = filtered(eqx.tree_at(lambda x: x.prior, linear, prior), keep=True)
+    turned = q_n0n.matrix.array
+    covariance = jnp.einsum("kji,kjl,klm->kim", turned, found.covariance[:, TILT, TILT, 0], turned)
     euler = jnp.diagonal(euler_covariance(q_nb.array, covariance), axis1=1, axis2=2)
     phi = jnp.diagonal(covariance, axis1=1, axis2=2)
-    return Bound(jnp.cumsum(path.dt), *(jnp.rad2deg(jnp.sqrt(x)) for x in (phi, euler)))
+    return Bound(jnp.cumsum(epochs.rows.dt), *(jnp.rad2deg(jnp.sqrt(x)) for x in (phi, euler)))
 
 
 def _biases(imu: ImuErrors) -> tuple[Any, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -20,7 +21,16 @@ from jaxalign.prefilter import AbstractPrefilter, filtered_force
 from jaxalign.preintegrate import Increment, Scheme, preintegrate
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["Aid", "Epoch", "Epochs", "check_prefilter", "epochs_from_arrays", "epochs_from_log"]
+__all__ = [
+    "Aid",
+    "Epoch",
+    "Epochs",
+    "check_prefilter",
+    "epochs_from_arrays",
+    "epochs_from_log",
+    "over_runs",
+    "row_numbers",
+]
 
 Aid = Literal["static", "body", "nav"]
 
@@ -81,6 +91,36 @@ class Epochs(eqx.Module):
 
     def __len__(self) -> int:
         return self.rows.dt.shape[-1]
+
+
+def over_runs(f: Callable[[Epochs], Any], epochs: Epochs) -> Any:
+    """``f`` of each of many runs: of the leaves of ``epochs.rows`` those that differ have the runs on the last axis.
+
+    Returns:
+        What ``f`` returns, with the runs on a first axis.
+    """
+    axes = jax.tree.map(lambda _: None, epochs)
+    rows = jax.tree.map(lambda x: -1 if x.ndim > 1 else None, epochs.rows)
+    axes = eqx.tree_at(lambda e: e.rows, axes, rows, is_leaf=lambda x: x is None)
+    return jax.vmap(f, in_axes=(axes,))(epochs)
+
+
+def row_numbers(count: int, rows: Any) -> np.ndarray:
+    """Numbers of the epochs to read out, of so many.
+
+    Args:
+        count: of epochs.
+        rows: epochs between two rows (epoch 0, each so many epochs, and the last), or the numbers themselves.
+
+    Raises:
+        UserError: a number that is no epoch.
+    """
+    if np.ndim(rows) == 0:
+        return np.unique([*range(0, count, int(rows)), count - 1])
+    numbers = np.asarray(rows)
+    if not (np.issubdtype(numbers.dtype, np.integer) and numbers.size and 0 <= numbers.min() <= numbers.max() < count):
+        raise UserError(f"rows = {rows}: must be whole numbers from 0 to {count - 1}")
+    return numbers
 
 
 @partial(jax.jit, static_argnames=("every", "scheme"))

@@ -60,7 +60,7 @@ class Increment(eqx.Module):
         Biases, constant in b, turn with the vehicle: their integrals are trapezoids, whose errors on a swaying vehicle
         do not add up over many intervals. The force is taken as constant in inertial space (it is gravity, mostly).
         """
-        half = Quat.turn(gyro_bias * (-0.5 * dt))
+        half = Quat.turn(gyro_bias * (-0.5 * dt), slow=True)
         turn, gained = ((v + self.rotation.rotate(v)) * (0.5 * dt) for v in (gyro_bias, accel_bias))
         return Increment(half * self.rotation * half, self.dvel - gained - turn.cross(self.dvel) * 0.5)
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.aligner import align
-from jaxalign.epochs import Epochs, epochs_from_log
+from jaxalign.epochs import Epochs, epochs_from_log, over_runs
 from jaxalign.inertial import InertialRecord
 from jaxalign.log import Log
 from jaxalign.prefilter import AbstractPrefilter
@@ -70,6 +70,10 @@ class AbstractRecordMethod(eqx.Module):
     def solve(self, epochs: Epochs, every: int = 1) -> Solution:
         """Align epochs; rows as :func:`jaxalign.align` has them."""
         return _jitted(without_prefilter(self), epochs, every)
+
+    def solve_runs(self, epochs: Epochs, every: int = 1) -> Solution:
+        """Align many runs, see :func:`jaxalign.epochs.over_runs`."""
+        return over_runs(lambda one: self.solve(one, every), epochs)
 
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`jaxalign.align`."""

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.aligner import align, epochs_for
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import UNKNOWN
 from jaxalign.batch.start import misfit, robust_start, views
+from jaxalign.batch.trajectory import UNKNOWN
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.log import Log
@@ -36,9 +36,10 @@ def _fix_sd(epochs: Epochs) -> Float[Array, " K"]:
     sd = jnp.broadcast_to(epochs.aid_sd, (len(epochs),))
     if epochs.aid == "static":
         return sd
-    alpha, beta = views(epochs)
-    guess, _, scale = robust_start(alpha, beta, epochs.rows.valid, epochs.aid_sd, epochs.aid)
-    off = misfit(alpha, beta, guess, epochs.aid).norm()
+    seen = views(epochs.rows, epochs.site, epochs.aid)
+    alpha, beta, used = jax.tree.map(lambda x: x[:, None], (seen.alpha, seen.beta, epochs.rows.valid))
+    start, _, scale = robust_start(alpha, beta, used, epochs.aid_sd, epochs.aid)
+    off, scale = misfit(alpha, beta, start, epochs.aid).norm()[:, 0], scale[0]
     return jnp.where(off > _OUTLIER * scale, off / jnp.sqrt(3.0), sd)
 
 

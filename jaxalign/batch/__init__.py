@@ -1,4 +1,4 @@
-"""Robust batch estimation over a navigated path."""
+"""Robust batch estimation over a trajectory with a state at every epoch."""
 
 from __future__ import annotations
 

@@ -6,18 +6,14 @@ their likelihood in what is said of its uncertainty.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxalign.batch.model import Guess
 from jaxalign.rotation import attitude_error
-from jaxalign.vector import Quat, Vec3
 
-__all__ = ["best_of", "turned", "turns"]
+__all__ = ["best_of", "turns"]
 
 _SAME = 0.5  # times the standard deviation: nearer, two headings are one
 
@@ -25,13 +21,6 @@ _SAME = 0.5  # times the standard deviation: nearer, two headings are one
 def turns(starts: int) -> np.ndarray:
     """(starts - 1,) headings to begin again with, less that of the solution, rad."""
     return 2 * np.pi * np.arange(1, starts) / starts
-
-
-def turned(guess: Guess, angle: Any, aid: str) -> Guess:
-    """With the heading turned; the first velocity turns along but for a navigation aid, which has measured it."""
-    turn = Quat.exp(Vec3(0.0 * angle, 0.0 * angle, angle))
-    velocity = guess.velocity if aid == "nav" else turn.rotate(guess.velocity)
-    return Guess((turn * guess.attitude).unit(), velocity, guess.gyro, guess.accel)
 
 
 def best_of(

@@ -2,63 +2,35 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxalign.aligner import align
+from jaxalign.batch.fix import PARTS, parts_of
 from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import ACCEL, GYRO, SPEED, TILT, UNKNOWN, Guess, Path, navigated
-from jaxalign.batch.modes import best_of, turned, turns
-from jaxalign.batch.smoother import Filtered, Measured, Prior, filtered, fixes, settled, smoothed
-from jaxalign.batch.start import misfit, robust_start, views
-from jaxalign.epochs import Aid, Epochs, epochs_from_log
+from jaxalign.batch.iterate import LANES, Found, on_host, traced
+from jaxalign.batch.solver import Model, Problem
+from jaxalign.epochs import Aid, Epochs, epochs_from_log, row_numbers
 from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
 from jaxalign.parameters import tunable
 from jaxalign.solution import FilterRecord, Solution, Status
-from jaxalign.vector import Quat, Vec3, where
+from jaxalign.vector import Quat
 
-__all__ = ["RobustMap"]
+__all__ = ["FEWEST_FIXES", "RobustMap"]
 
-_FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity, and nothing lost to rounding
-_LEAST = 1e-12  # weight
-_BELIEF = 6.0  # numbers that the stated noise of the aid is worth
-_FITTED = 8.0  # numbers that the attitude, the first velocity and what is seen of the biases take up
-_LONGEST = 0.95  # correlation of neighbouring fixes
-_PARTS = {"mounting": 4, "latency": 1, "lever": 3}  # in the order of their unknowns
-_MEDIAN = 2.366  # of the squared length of a normal vector
-_FEWEST = 3  # fixes
+FEWEST_FIXES = 3
+"""That an attitude takes."""
 _BLIND = np.deg2rad(20.0)
-
-
-class _State(eqx.Module):
-    """Between two steps: the path's start, unknowns of the aid, what is thought of each fix, velocities (n0)."""
-
-    guess: Guess
-    calibration: Array
-    weight: Array
-    variance: Array
-    times: Array
-    smooth: Vec3 | None
-
-
-class _Found(eqx.Module):
-    """A solution at an epoch."""
-
-    q_nb: Array
-    tilt: Array
-    told: FilterRecord
-    residual: Array
-    weight: Array
-    aid_sd: Array
-    guess: Guess
+_MOST_ITERATIONS = 1000
 
 
 class RobustMap(eqx.Module):
@@ -67,8 +39,8 @@ class RobustMap(eqx.Module):
     Unknown are attitude, first velocity, the biases of the inertial unit (with priors) and its white noise. The noise
     of a fix is normal, or with a small probability normal with a much larger standard deviation: each fix counts by the
     probability that it is none of those, found together with the rest (iterated reweighting). One Gauss-Newton step is
-    a Kalman filter forth and a smoother back over the errors of a navigated path. Derivatives hold where it has
-    converged.
+    a Kalman filter, a disturbance smoother and a pass forward over the errors of a trajectory with a state at every
+    epoch. Derivatives are those of a solution that has converged.
 
     A standing vehicle has the velocity zero; the noise is then its disturbance, and the stated figure (of the force
     over an interval, ``Epochs.aid_sd``) the least of it.
@@ -84,15 +56,17 @@ class RobustMap(eqx.Module):
             larger; "estimated": that of the data, the stated one being worth a few fixes; "stated": as it is. Data tell
             of white noise alone: where a stated figure covers slow errors too, the estimate is too small.
         calibrate: unknowns of the aid too: "none" (default), "mounting" (scale factor and misalignment of a body aid),
-            "latency" (its velocities are of some time ago), "lever" (it is not where the inertial unit is), or some of
-            them: "latency+lever".
+            "latency" (its velocities are of some time ago), "lever" (it is not where the inertial unit is), "slow" (an
+            error of its velocity that fades and renews itself), or some of them: "latency+lever".
         scale_sd: of the scale factor beforehand.
         mounting_sd_deg: of each angle of the misalignment beforehand.
         latency_sd: of the latency beforehand, s. It is resolved to a fraction of the interval between epochs.
         lever_sd: of each component of the lever arm beforehand, m.
+        slow_sd: of each component of the slow error, m/s.
+        slow_time: after which it has renewed itself, s.
         starts: headings to start from. 1 (default): the one found without a guess. 4 for low-cost units, whose biases
             may hide the turn of the Earth: more than one heading may fit, and the covariance has them all in mind.
-        iterations: Gauss-Newton steps.
+        iterations: Gauss-Newton steps, at most 1000.
         aid: that it observes.
         interval_samples: IMU samples per epoch; None: as the log has it.
 
@@ -108,6 +82,8 @@ class RobustMap(eqx.Module):
     latency_sd: Float[Array, ""] = tunable(0.1, unit="s", bounds=(1e-4, 5.0))
     noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
     lever_sd: Float[Array, ""] = tunable(1.0, unit="m", bounds=(1e-3, 1e3))
+    slow_sd: Float[Array, ""] = tunable(0.005, unit="m/s", bounds=(1e-6, 10.0))
+    slow_time: Float[Array, ""] = tunable(300.0, unit="s", bounds=(1.0, 1e6))
     calibrate: str = eqx.field(static=True, default="none")
     starts: int = eqx.field(static=True, default=1)
     iterations: int = eqx.field(static=True, default=8)
@@ -119,10 +95,12 @@ class RobustMap(eqx.Module):
         check_interval(self.interval_samples, "interval_samples")
         for name in ("starts", "iterations"):
             check_count(name, getattr(self, name))
+        if self.iterations > _MOST_ITERATIONS:
+            raise UserError(f"iterations = {self.iterations}: at most {_MOST_ITERATIONS}; 8 do for nearly all logs")
         parts = [] if self.calibrate == "none" else str(self.calibrate).split("+")
-        if not set(parts) <= set(_PARTS) or len(set(parts)) < len(parts):
+        if not set(parts) <= set(PARTS) or len(set(parts)) < len(parts):
             raise UserError(
-                f"calibrate = {self.calibrate!r}: must be none, or some of {', '.join(_PARTS)}, each once, joined by +"
+                f"calibrate = {self.calibrate!r}: must be none, or some of {', '.join(PARTS)}, each once, joined by +"
             )
         if "mounting" in self.unknown and self.aid != "body":
             raise UserError("calibrate: scale and misalignment are those of a body aid: leave mounting out")
@@ -132,205 +110,155 @@ class RobustMap(eqx.Module):
     @property
     def unknown(self) -> dict[str, slice]:
         """Where in ``Solution.filter.calibration`` the unknowns of the aid are, by name."""
-        out, end = {}, 0
-        for name, size in _PARTS.items():
-            if name in self.calibrate.split("+"):
-                out[name] = slice(end, end + size)
-                end += size
-        return out
+        return parts_of(tuple(self.calibrate.split("+")))
+
+    @property
+    def model(self) -> Model:
+        """What it knows beforehand, without what does not change a step."""
+        known = {
+            "mounting": [self.scale_sd, *[jnp.deg2rad(self.mounting_sd_deg)] * 3],
+            "latency": [self.latency_sd],
+            "lever": [self.lever_sd] * 3,
+            "slow": [self.slow_sd] * 3,
+        }
+        names = tuple(self.unknown)
+        sd = [x for name in names for x in known[name]]
+        fade = [self.slow_time if name == "slow" else jnp.inf for name in names for _ in known[name]]
+        stack = _stacked(self)
+        return Model(self.imu, self.outliers, self.spread, stack(sd), stack(fade), names, self.noise, self.aid)
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method."""
         return epochs_from_log(log, interval_samples=self.interval_samples, static=self.aid == "static")
 
-    def solve(self, epochs: Epochs, every: int = 1) -> Solution:
-        """Align epochs; rows as :func:`jaxalign.align` has them, each by the fixes up to it."""
-        return _jitted(self, epochs, every)
+    def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] = lambda rows: None) -> Solution:
+        """Align epochs, each row by the fixes up to it.
+
+        Args:
+            epochs: of one log.
+            rows: epochs between two rows, see :func:`jaxalign.align`, or the numbers of the epochs to read out.
+            done: told how many rows are finished, now and then; not inside traced code.
+        """
+        numbers = row_numbers(len(epochs), rows)
+        if any(isinstance(x, Tracer) for x in jax.tree.leaves((self, epochs))):
+            found = _rows_of(self, epochs, numbers)
+        else:
+            lanes = min(LANES, 1 << (len(numbers) - 1).bit_length())
+            found = on_host(self.model, epochs, numbers, self.iterations, self.starts, lanes=lanes, done=done)
+        return _assembled(self, epochs, numbers, found)
+
+    def solve_runs(self, epochs: Epochs, rows: Any = 1) -> Solution:
+        """Align many runs side by side: leaves of ``epochs.rows`` that differ have the runs on the last axis. Pure.
+
+        The same as ``jax.vmap`` of :meth:`solve` over that axis, faster.
+
+        Returns:
+            A solution whose leaves have the runs on a first axis.
+        """
+        numbers = row_numbers(len(epochs), rows)
+        return _runs_of(self, epochs, numbers)
 
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`jaxalign.align`."""
         return align(self, log, every)
 
-    def _prior(self, state: _State, stated: Any) -> Prior:
-        guess, calibration = state.guess, state.calibration
-        noise = jnp.sqrt(jnp.maximum(stated**2, jax.lax.stop_gradient(state.variance)))
-        imu, mounting = self.imu, jnp.deg2rad(self.mounting_sd_deg)
-        parts = [(3, UNKNOWN), (3, _FREE * noise), (3, imu.gyro_bias), (3, imu.accel_bias)]
-        mean = [jnp.zeros(6), -guess.gyro.array, -guess.accel.array]
-        known = {
-            "mounting": [(1, self.scale_sd), (3, mounting)],
-            "latency": [(1, self.latency_sd)],
-            "lever": [(3, self.lever_sd)],
-        }
-        for name in self.unknown:
-            parts += known[name]
-        mean.append(-calibration)
-        sd = jnp.concatenate([jnp.full(n, 1.0) * x for n, x in parts])
-        return Prior(jnp.concatenate(mean), sd**2)
 
-    def _weighed(self, noise: Any, variance: Any, used: Any) -> tuple[Any, Any]:
-        """Probability that each fix is no outlier, and its weight."""
-        square = jnp.sum(noise**2, axis=1) / variance
-        wide = self.spread**2
-        odds = jnp.log((1 - self.outliers) / self.outliers) + 1.5 * jnp.log(wide) - 0.5 * square * (1 - 1 / wide)
-        good = jnp.where(used, jax.nn.sigmoid(odds), 0.0)
-        return good, good + (1 - good) / wide
+def _stacked(method: RobustMap) -> Callable[[list[Any]], Any]:
+    """On the host without a program of its own for a few numbers."""
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves(method)):
+        return lambda numbers: jnp.stack([jnp.asarray(x, jnp.float64) for x in numbers]) if numbers else jnp.zeros(0)
+    return lambda numbers: np.array([float(x) for x in numbers], np.float64)
 
-    def _persistence(self, noise: Any, good: Any, variance: Any) -> Any:
-        """How many times the noise of a fix counts because its neighbours share it: (1 + r) / (1 - r).
 
-        r is the correlation of neighbouring fixes, never taken for negative; white noise with the variance so enlarged
-        has the same density at low frequencies, where the attitude is.
-        """
-        pair = (good[1:] * good[:-1])[:, None]
-        shared = jnp.sum(pair * noise[1:] * noise[:-1])
-        own = 0.5 * jnp.sum(pair * (noise[1:] ** 2 + noise[:-1] ** 2))
-        r = jnp.clip(shared / (own + _BELIEF * variance), 0.0, _LONGEST)
-        return (1.0 + r) / (1.0 - r)
+def _rows_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Found:
+    """Rows of one log as lanes, a group at a time."""
+    one = jax.tree.map(lambda x: x[:, None], epochs.rows)
 
-    def _scaled(self, noise: Any, used: Any, stated: Any) -> Any:
-        """Variance of the noise by its median, which a half of outliers does not move."""
-        square = jnp.sort(jnp.where(used, jnp.sum(noise**2, axis=1), jnp.inf))
-        middle = square[jnp.maximum(jnp.sum(used) - 1, 0) // 2] / _MEDIAN
-        return jnp.maximum(jnp.where(jnp.any(used), middle, 0.0), stated**2)
+    def group(last: Any) -> Found:
+        return traced(method.model, Problem(one, epochs.site, epochs.aid_sd, last), method.iterations, method.starts)
 
-    def _estimated(self, noise: Any, good: Any, stated: Any) -> tuple[Any, Any]:
-        """Variance of the noise and how many times it counts, by the fixes that are no outliers."""
-        if self.noise == "stated":
-            return stated**2, jnp.ones(())
-        squares = jnp.sum(good[:, None] * noise**2)
-        count = jnp.maximum(3 * jnp.sum(good) - _FITTED, 0.0)
-        variance = (_BELIEF * stated**2 + squares) / (_BELIEF + count)
-        if self.noise == "at_least":
-            variance = jnp.maximum(variance, stated**2)
-        return variance, self._persistence(noise, good, variance)
+    if len(numbers) <= 2 * LANES:
+        return group(jnp.asarray(numbers))
+    index = np.minimum(np.arange(-(-len(numbers) // LANES) * LANES), len(numbers) - 1)
+    found = jax.lax.map(group, jnp.asarray(numbers[index].reshape(-1, LANES)))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., : len(numbers)], found)
 
-    def _measured(self, epochs: Epochs, used: Any, path: Path, state: _State, smooth: Vec3 | None) -> Measured:
-        unknown = {name: state.calibration[where] for name, where in self.unknown.items()}
-        return fixes(path, epochs.rows.velocity, used, self.aid, smooth=smooth, **unknown)
 
-    def _solved(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> Any:
-        """One Gauss-Newton step but for taking it: path, measurements, their variances, prior, filter."""
-        path = navigated(epochs, state.guess).until(last)
-        measured = self._measured(epochs, used, path, state, state.smooth)
-        each = state.variance * state.times / jnp.where(used, jnp.maximum(state.weight, _LEAST), 1.0)
-        prior = self._prior(state, stated)
-        return path, measured, each, prior, filtered(path, measured, each, self.imu, prior)
+def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution:
+    """Rows and runs as lanes, a group of runs at a time."""
+    runs, count = epochs.rows.dvel.x.shape[-1], len(numbers)
+    together = max(1, min(runs, LANES // count))
+    index = np.minimum(np.arange(-(-runs // together) * together), runs - 1).reshape(-1, together)
 
-    def _log_likelihood(self, found: Filtered, prior: Prior, used: Any, state: _State) -> Any:
-        """Of the mixture, the first velocity being free: without its prior, with the odds of the outliers."""
-        wide = self.spread**2
-        bad = jnp.where(used, 1.0 - (state.weight - 1.0 / wide) / (1.0 - 1.0 / wide), 0.0)
-        odds = jnp.sum(bad) * jnp.log(self.outliers / (1.0 - self.outliers))
-        return found.log_likelihood + 0.5 * jnp.sum(jnp.log(prior.variance[SPEED])) + odds
+    def group(some: Any) -> Solution:
+        def lanes(x: Any) -> Any:
+            if x.ndim == 1:
+                return x[:, None]
+            return jnp.broadcast_to(x[:, some][:, :, None], (len(x), together, count)).reshape(len(x), -1)
 
-    def _iterated(self, epochs: Epochs, used: Any, last: Any, stated: Any, state: _State) -> _Found:
-        """From a start to a solution."""
-
-        def step(state: _State, count: Any) -> tuple[_State, Any]:
-            path, measured, each, prior, found = self._solved(epochs, used, last, stated, state)
-            error, noise = smoothed(path, measured, each, prior, found)
-            # While biases are still in the misfit a mean square would take them for noise, and keep them there.
-            early = count < self.iterations // 2
-            variance = jnp.where(early, self._scaled(noise, used, stated), state.variance)
-            good, weight = self._weighed(noise, variance, used)
-            late, times = self._estimated(noise, good, stated)
-            new = _State(
-                state.guess.moved(error),
-                state.calibration + error[12:],
-                weight,
-                jnp.where(early, variance, late),
-                jnp.where(early, 1.0, times),
-                None if state.smooth is None else path.velocity + Vec3.of(measured.gap - noise),
-            )
-            return new, noise[last]
-
-        state, noise = jax.lax.scan(step, state, jnp.arange(self.iterations))
-        path, measured, each, prior, found = self._solved(epochs, used, last, stated, state)
-        error, covariance = found.mean[0], found.covariance[0]
-        if state.smooth is not None:
-            smooth = settled(state.smooth, measured, each, found)
-            surer = self._measured(epochs, used, path, state, smooth)
-            covariance = filtered(path, surer, each, self.imu, prior).covariance[0]
-        at = jax.tree.map(lambda x: x[last], path)
-        q_n0b = (Quat.exp(Vec3.of(error[TILT])) * at.q_n0b).unit()
-        turn = at.q_n0n.matrix.array
-        told = FilterRecord(
-            state.guess.gyro.array + error[GYRO],
-            state.guess.accel.array + error[ACCEL],
-            covariance,
-            log_likelihood=self._log_likelihood(found, prior, used, state),
-            calibration=state.calibration + error[12:],
+        rows = jax.tree.map(lanes, epochs.rows)
+        problem = Problem(rows, epochs.site, epochs.aid_sd, jnp.tile(jnp.asarray(numbers), together))
+        found = traced(method.model, problem, method.iterations, method.starts)
+        found = jax.tree.map(lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], together, count), -2, 0), found)
+        own = jax.tree.map(
+            lambda x: x[:, some].T if x.ndim > 1 else jnp.broadcast_to(x, (together, len(x))), epochs.rows
         )
-        return _Found(
-            (at.q_n0n.conjugate() * q_n0b).unit().array,
-            turn.T @ covariance[TILT, TILT] @ turn,
-            told,
-            noise[-1],
-            jnp.where(used[last], state.weight[last], 0.0),
-            jnp.sqrt(state.variance * state.times),
-            state.guess,
-        )
+        return jax.vmap(lambda rows, found: _assembled_rows(method, rows, numbers, found))(own, found)
 
-    def until(self, epochs: Epochs, seen: tuple[Vec3, Vec3], last: Any) -> _Found:
-        """The solution by the fixes up to the epoch ``last``. Pure."""
-        used = epochs.rows.valid & (jnp.arange(len(epochs)) <= last)
-        stated = jnp.maximum(epochs.aid_sd, 1e-6)
-        guess = jax.lax.stop_gradient(robust_start(*seen, used, 1e-6, self.aid)[0])
-        off = misfit(*seen, guess, self.aid)
-        variance = jax.lax.stop_gradient(self._scaled(off.array, used, stated))
-        _, weight = self._weighed(off.array, variance, used)
-        calibration = jnp.zeros(sum(_PARTS[name] for name in self.unknown))
-        smooth = navigated(epochs, guess).velocity if self.aid == "nav" else None
-        state = _State(guess, calibration, jax.lax.stop_gradient(weight), variance, jnp.ones(()), smooth)
-        first = self._iterated(epochs, used, last, stated, state)
-        if self.starts == 1:
-            return first
-
-        def again(angle: Any) -> _Found:
-            start = dataclasses.replace(state, guess=turned(first.guess, angle, self.aid))
-            return self._iterated(epochs, used, last, stated, start)
-
-        others = jax.lax.map(again, jnp.asarray(turns(self.starts)))
-        every = jax.tree.map(lambda x, more: jnp.concatenate([x[None], more]), first, others)
-        best, tilt = best_of(every.q_nb, every.tilt, every.told.log_likelihood)
-        return dataclasses.replace(jax.tree.map(lambda x: x[best], every), tilt=tilt)
+    solutions = jax.lax.map(group, jnp.asarray(index))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:runs], solutions)
 
 
-@eqx.filter_jit
-def _jitted(method: RobustMap, epochs: Epochs, every: int) -> Solution:
-    count = len(epochs)
-    rows = np.unique([*range(0, count, every), count - 1])
-    alpha, beta = views(epochs)
-    found = jax.lax.map(lambda last: method.until(epochs, (alpha, beta), last), jnp.asarray(rows))
-    finite = jnp.all(jnp.isfinite(found.q_nb), axis=1) & jnp.all(jnp.isfinite(found.tilt), axis=(1, 2))
-    fixes_so_far = jnp.cumsum(epochs.rows.valid)[rows]
-    defined = finite & (fixes_so_far >= _FEWEST)
-    observable = defined & (found.tilt[:, 2, 2] < _BLIND**2)
+def _assembled(method: RobustMap, epochs: Epochs, numbers: np.ndarray, found: Found) -> Solution:
+    rows = (epochs.rows.dt, epochs.rows.valid)
+    return _assemble(rows, np.asarray(numbers), found, method.calibrate != "none")
+
+
+def _assembled_rows(method: RobustMap, rows: Any, numbers: np.ndarray, found: Found) -> Solution:
+    return _assemble_rows((rows.dt, rows.valid), numbers, found, method.calibrate != "none")
+
+
+def _assemble_rows(rows: Any, numbers: Any, found: Found, calibrated: bool) -> Solution:
+    """Rows on the first axis, and what to say of each."""
+    dt, valid = rows
+    read, alpha, beta = jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), found)
+    finite = jnp.all(jnp.isfinite(read.q_nb), axis=1) & jnp.all(jnp.isfinite(read.tilt), axis=(1, 2))
+    defined = finite & (jnp.cumsum(valid)[numbers] >= FEWEST_FIXES)
+    observable = defined & (read.tilt[:, 2, 2] < _BLIND**2)
     bits = (
         (~defined, Status.UNDEFINED),
         (~observable, Status.HEADING_UNOBSERVABLE),
-        (~epochs.rows.valid[rows], Status.AID_MISSING),
+        (~valid[numbers], Status.AID_MISSING),
         (~finite, Status.NON_FINITE),
     )
-    status = sum((jnp.where(c, jnp.int32(int(b)), 0) for c, b in bits), jnp.zeros(len(rows), jnp.int32))
+    status = sum((jnp.where(c, jnp.int32(int(b)), 0) for c, b in bits), jnp.zeros(len(numbers), jnp.int32))
 
     def masked(x: Any) -> Any:
         return jnp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
 
-    told = jax.tree.map(masked, found.told)
+    record = FilterRecord(
+        masked(read.gyro),
+        masked(read.accel),
+        masked(read.covariance),
+        log_likelihood=masked(read.log_likelihood),
+        calibration=masked(read.unknowns) if calibrated else None,
+    )
+    identity = jnp.asarray([1.0, 0.0, 0.0, 0.0])
     return Solution(
-        time=jnp.cumsum(epochs.rows.dt)[rows],
-        q_nb=where(defined, Quat.of(found.q_nb).positive(), Quat.identity()).array,
+        time=jnp.cumsum(dt)[numbers],
+        q_nb=jnp.where(defined[:, None], Quat.of(read.q_nb).positive().array, identity),
         defined=defined,
         observable=observable,
-        eigengap=jnp.zeros(len(rows)),
-        residual=masked(found.residual),
-        weight=found.weight,
-        alpha=alpha.array[rows],
-        beta=beta.array[rows],
-        covariance=masked(found.tilt),
+        eigengap=jnp.zeros(len(numbers)),
+        residual=masked(read.residual),
+        weight=read.weight,
+        alpha=alpha,
+        beta=beta,
+        covariance=masked(read.tilt),
         status=status,
-        aid_sd=found.aid_sd,
-        filter=told if method.calibrate != "none" else dataclasses.replace(told, calibration=None),
+        aid_sd=read.aid_sd,
+        filter=record,
     )
+
+
+_assemble = eqx.filter_jit(_assemble_rows)

@@ -1,10 +1,9 @@
-"""Kalman filter forth and disturbance smoother back over the errors of a guessed path: one Gauss-Newton step.
+"""Kalman filter, disturbance smoother and a pass forward over the errors of a trajectory: one Gauss-Newton step.
 
-The states are those of :mod:`jaxalign.batch.model`, with constants behind them if the measurement has more unknowns.
-Velocities are measured axis by axis. The backward pass carries no covariance: it gives the start and the noise of each
-measurement by all of them, which is what reweighting needs.
+The backward pass carries no covariance: it gives the start, the noise of each interval and that of each measurement
+by all of them; the pass forward makes the errors of all epochs of these.
 
-Source: Durbin and Koopman, Time Series Analysis by State Space Methods (4.6.1), (4.58)-(4.69), in scalars.
+Source: Durbin and Koopman, Time Series Analysis by State Space Methods, (4.3) and (4.58)-(4.69).
 """
 
 from __future__ import annotations
@@ -16,222 +15,208 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxalign.batch.imu import ImuErrors
-from jaxalign.batch.model import Path, back, forth, skew
-from jaxalign.vector import Vec3, root
+from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Intervals
 
-__all__ = ["Filtered", "Measured", "Prior", "filtered", "fixes", "settled", "smoothed"]
-
-
-_SETTLED = 3.0  # times the variance that is left, a squared change may well be noise
+__all__ = ["Filtered", "LinearProblem", "Prior", "Process", "filtered", "propagate", "smoothed", "transposed"]
 
 
 class Prior(eqx.Module):
-    """Errors of the guess before the first measurement.
+    """Errors at the first epoch before its measurement.
 
     Attributes:
-        mean: (n,).
-        variance: (n,).
+        mean: (n, L).
+        variance: (n, L).
     """
 
-    mean: Float[Array, " n"]
-    variance: Float[Array, " n"]
+    mean: Float[Array, "n L"]
+    variance: Float[Array, "n L"]
 
 
-class Measured(eqx.Module):
-    """Velocities of the aid against a path: ``gap = slope x + noise``, the noise the same on all axes.
+class Process(eqx.Module):
+    """What happens to the errors over an interval beside the motion.
 
     Attributes:
-        gap: (K, 3) measured minus guessed velocity, m/s, n0.
-        slope: (K, 3, n).
+        motion: (K, 6, 6, L) covariance of what the white noise of the unit does to tilt and velocity.
+        others: (K, n - 6, L) variance that the other states gain.
+        fade: (K, n - 12, L) factor of the unknowns of the aid: one for constants.
     """
 
-    gap: Float[Array, "K 3"]
-    slope: Float[Array, "K 3 n"]
+    motion: Float[Array, "K 6 6 L"]
+    others: Float[Array, "K m L"]
+    fade: Float[Array, "K c L"]
+
+
+class LinearProblem(eqx.Module):
+    """Errors of a trajectory and measurements of them, ``gap = slope x + noise``.
+
+    Attributes:
+        intervals: of the trajectory.
+        process: noise.
+        gap: (K, m, L) measured minus nominal; zero where there is none.
+        slope: (K, m, n, L); zero where there is no measurement.
+        variance: (K, m, L) of the noise; any positive number where there is no measurement.
+        used: (K, L) where there is one.
+        prior: of the first errors.
+    """
+
+    intervals: Intervals
+    process: Process
+    gap: Float[Array, "K m L"]
+    slope: Float[Array, "K m n L"]
+    variance: Float[Array, "K m L"]
+    used: Bool[Array, "K L"]
+    prior: Prior
 
 
 class Filtered(eqx.Module):
     """What the filter leaves.
 
     Attributes:
-        mean: (K, n) errors by the measurements up to each epoch.
-        covariance: (K, n, n) of them.
-        innovation: (K, 3) of each axis after those before it, over its variance.
-        gain: (K, 3, n).
-        log_likelihood: of all measurements, but for a constant.
+        mean: (n, L) errors at the last epoch; (K, n, L) where all were kept.
+        covariance: (n, n, L) or (K, n, n, L) of them.
+        innovation: (K, m, L) over its covariance.
+        gain: (K, n, m, L).
+        log_likelihood: (L,) of all measurements, but for a constant.
     """
 
-    mean: Float[Array, "K n"]
-    covariance: Float[Array, "K n n"]
-    innovation: Float[Array, "K 3"]
-    gain: Float[Array, "K 3 n"]
-    log_likelihood: Float[Array, ""]
+    mean: Float[Array, "*K n L"]
+    covariance: Float[Array, "*K n n L"]
+    innovation: Float[Array, "K m L"]
+    gain: Float[Array, "K n m L"]
+    log_likelihood: Float[Array, " L"]
 
 
-def _change(path: Path, aid: str) -> Vec3:
-    """How fast a velocity changes, in the frame of its aid, turned into n0: over the interval before each epoch."""
-    before, turned = jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), (path.velocity, path.q_n0b))
-    if aid == "body":
-        before = (path.q_n0b * turned.conjugate()).rotate(before)
-    moved = path.dt > 0
-    return (path.velocity - before) * jnp.where(moved, 1.0 / jnp.where(moved, path.dt, 1.0), 0.0)
+def _times(m: Any, rows: Any) -> Any:
+    """A 3x3 matrix (3, 3, L) times three rows (3, ..., L): sums that fuse, where a dot of this size would not."""
+    shape = (3, *[1] * (rows.ndim - 2), m.shape[-1])
+    return sum(m[:, i].reshape(shape) * rows[i] for i in range(3))
 
 
-def _rate(path: Path) -> Vec3:
-    """How fast the vehicle turns, n0, rad/s: over the two intervals around each epoch, as far as the path goes."""
-    before = jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), path.q_n0b)
-    turn = (path.q_n0b * before.conjugate()).positive().log()
-    turn = jax.tree.map(lambda x: jnp.where(path.dt > 0, x, 0.0), turn)
-    turn, dt = jax.tree.map(lambda x: x + jnp.append(x[1:], 0.0), (turn, path.dt))
-    return turn * jnp.where(dt > 0, 1.0 / jnp.where(dt > 0, dt, 1.0), 0.0)
-
-
-def fixes(
-    path: Path,
-    velocity: Vec3,
-    used: Bool[Array, " K"],
-    aid: str,
-    mounting: Float[Array, " 4"] | None = None,
-    latency: Float[Array, " 1"] | None = None,
-    lever: Float[Array, " 3"] | None = None,
-    smooth: Vec3 | None = None,
-) -> Measured:
-    """The velocities of an aid along a path.
-
-    The path wanders off with the noise of the inertial unit, and a tilt of the whole history turns that wandering too.
-    What it does to a measurement is therefore taken at the velocity known best, not at that of the path, or a heading
-    that is wide open would be told from turned noise: a body aid and a standing vehicle measure in a frame that turns
-    along (the tilt acts on the whole velocity of the path), a navigation aid does not (on what it is off ``smooth``).
-
-    Args:
-        path: guessed.
-        velocity: (K,) of the aid, m/s, in b or n; any where the vehicle stands.
-        used: (K,) where there is one to use; elsewhere nothing is measured.
-        aid: "body", "nav" or "static" (the velocity is zero).
-        mounting: scale factor and misalignment (rad, b) of a body aid so far, four more unknowns:
-            ``v_measured = (1 + scale) (v - misalignment x v)``.
-        latency: s, of the aid so far, one more unknown: it measures the velocity of so long ago.
-        lever: m, b, from the inertial unit to the aid so far, three more unknowns: it moves as the vehicle turns.
-        smooth: (K,) what the velocity is by all measurements so far, for a navigation aid; None: that of the path.
-    """
-    v = path.velocity
-    if mounting is not None:
-        velocity = (velocity + Vec3.of(mounting[1:]).cross(velocity)) * (1.0 / (1.0 + mounting[0]))
-    unit = jnp.broadcast_to(jnp.eye(3), (*v.x.shape, 3, 3))
-    none = jnp.zeros_like(unit)
-    off = v
-    if aid == "body":
-        seen = path.q_n0b.rotate(velocity)
-    elif aid == "nav":
-        seen = path.q_n0n.rotate(velocity)
-        off = v - (v if smooth is None else smooth)
-    else:
-        seen = v * 0.0
-    tilt = jax.vmap(skew)(off)
-    blocks = [tilt, unit, none, none]
-    if mounting is not None:
-        blocks += [v.array[..., None], tilt @ path.q_n0b.matrix.array]
-    if latency is not None:
-        change = _change(path, aid)
-        seen = seen + change * latency[0]
-        blocks.append(-change.array[..., None])
-    if lever is not None:
-        rate = _rate(path)
-        seen = seen - rate.cross(path.q_n0b.rotate(Vec3.of(lever)))
-        blocks.append(jax.vmap(skew)(rate) @ path.q_n0b.matrix.array)
-    there = used[:, None]
-    slope = jnp.concatenate(blocks, axis=-1)
-    return Measured(jnp.where(there, (seen - v).array, 0.0), jnp.where(there[..., None], slope, 0.0))
-
-
-def settled(velocity: Vec3, measured: Measured, variance: Float[Array, " K"], found: Filtered) -> Vec3:
-    """(K,) velocities to say how sure a heading is: without the part of their changes that is noise.
-
-    A vehicle that keeps its velocity says nothing of the heading, but the noise of its velocity would. For a step it is
-    the whole velocity that counts: the gap has the noise in it too.
-
-    Args:
-        velocity: (K,) smoothed, m/s, n0.
-        measured: that the filter had.
-        variance: likewise.
-        found: by the filter: slope times gain is what is left of the variance of a measurement after it.
-    """
-    left = jnp.sum(measured.slope * found.gain, axis=(1, 2)) * variance
-    weight = jnp.any(measured.slope != 0, axis=(1, 2)) / variance
-    total = jnp.maximum(jnp.sum(weight), 1e-300)
-    mean = jax.tree.map(lambda x: jnp.sum(weight * x) / total, velocity)
-    change = velocity - mean
-    size = jnp.maximum(change.norm2(), 1e-300)
-    return mean + change * root(jnp.maximum(1.0 - _SETTLED * left / size, 0.0))
-
-
-def _noise(row: Path, imu: ImuErrors) -> Float[Array, "6 6"]:
-    """Covariance of what the white noise of an interval does to tilt and speed."""
-    gyro, accel = imu.gyro_walk**2 * row.dt, imu.accel_walk**2 * row.dt
-    d = skew(row.impulse)
-    across = -0.5 * gyro * d
-    speed = gyro / 3.0 * sum(d[:, i, None] * d[:, i] for i in range(3)) + accel * jnp.eye(3)
-    return jnp.concatenate(
-        [jnp.concatenate([gyro * jnp.eye(3), across.T], axis=1), jnp.concatenate([across, speed], axis=1)]
+def _crossed(v: Any, rows: Any) -> Any:
+    """``[v x]`` times three rows."""
+    return jnp.stack(
+        [v[1] * rows[2] - v[2] * rows[1], v[2] * rows[0] - v[0] * rows[2], v[0] * rows[1] - v[1] * rows[0]]
     )
 
 
-def filtered(
-    path: Path, measured: Measured, variance: Float[Array, " K"], imu: ImuErrors, prior: Prior, keep: bool = False
-) -> Filtered:
-    """Forth.
+def _moved(row: Intervals, x: Any) -> Any:
+    """Tilt and velocity (6, ..., L) after an interval; x (12 or more, ..., L) before it."""
+    tilt = x[TILT] - _times(row.turned, x[GYRO])
+    carried = x[VELOCITY] - _crossed(row.gained, x[TILT]) - _crossed(row.spin, x[VELOCITY])
+    return jnp.concatenate([tilt, carried + _times(row.coupled, x[GYRO]) - _times(row.turned, x[ACCEL])])
+
+
+def propagate(row: Intervals, fade: Any, x: Float[Array, "n L"]) -> Float[Array, "n L"]:
+    """Errors at the epoch of a row from those at the one before it, without its defect."""
+    return jnp.concatenate([_moved(row, x), x[6:STATES], x[STATES:] * fade])
+
+
+def transposed(row: Intervals, fade: Any, r: Float[Array, "n L"]) -> Float[Array, "n L"]:
+    """The transpose of :func:`propagate`."""
+    turned, coupled = (jnp.swapaxes(m, 0, 1) for m in (row.turned, row.coupled))
+    t, v = r[TILT], r[VELOCITY]
+    tilt = t + _crossed(row.gained, v)
+    velocity = v + _crossed(row.spin, v)
+    gyro = r[GYRO] - _times(turned, t) + _times(coupled, v)
+    return jnp.concatenate([tilt, velocity, gyro, r[ACCEL] - _times(turned, v), r[STATES:] * fade])
+
+
+def _propagated(row: Intervals, process: Process, p: Any) -> Any:
+    """Covariance (n, n, L) after an interval: only its first six rows and columns are new, but for what fades."""
+    ones = jnp.ones((STATES - 6, 1))
+    fade = jnp.concatenate([jnp.broadcast_to(ones, (STATES - 6, process.fade.shape[-1])), process.fade])
+    top = _moved(row, p)
+    corner = _moved(row, jnp.swapaxes(top[:, :STATES], 0, 1)) + process.motion
+    side = top[:, 6:] * fade
+    rest = p[6:, 6:] * fade[:, None] * fade[None] + jnp.eye(len(fade))[:, :, None] * process.others[:, None]
+    return jnp.concatenate(
+        [jnp.concatenate([corner, side], axis=1), jnp.concatenate([jnp.swapaxes(side, 0, 1), rest], axis=1)]
+    )
+
+
+def _updated(x: Any, p: Any, gap: Any, slope: Any, variance: Any) -> Any:
+    """Take in the m components of one measurement together.
+
+    With ``S = H P H' + R = L D L'`` the components are made independent, which needs no inverse.
+    """
+    n, m = len(x), len(gap)
+    across = [sum(p[:, j] * slope[i, j] for j in range(n)) for i in range(m)]
+    spread = [[sum(slope[k, j] * across[i][j] for j in range(n)) for k in range(i + 1)] for i in range(m)]
+    surprise = [gap[i] - sum(slope[i, j] * x[j] for j in range(n)) for i in range(m)]
+    size: list[Any] = []
+    lower: list[list[Any]] = []
+    for i in range(m):
+        row: list[Any] = []
+        for k in range(i):
+            row.append((spread[i][k] - sum(row[j] * lower[k][j] * size[j] for j in range(k))) / size[k])
+        lower.append(row)
+        size.append(spread[i][i] + variance[i] - sum(row[k] ** 2 * size[k] for k in range(i)))
+        for k in range(i):
+            across[i] = across[i] - row[k] * across[k]
+            surprise[i] = surprise[i] - row[k] * surprise[k]
+    gain = [g / s for g, s in zip(across, size, strict=True)]
+    innovation = [e / s for e, s in zip(surprise, size, strict=True)]
+    x = x + sum(g * e for g, e in zip(across, innovation, strict=True))
+    p = p - sum(k[:, None] * g[None] for k, g in zip(gain, across, strict=True))
+    fit = sum(e * u for e, u in zip(innovation, surprise, strict=True)) + sum(jnp.log(s) for s in size)
+    for i in reversed(range(m)):  # back from the independent components
+        for j in range(i + 1, m):
+            gain[i] = gain[i] - lower[j][i] * gain[j]
+            innovation[i] = innovation[i] - lower[j][i] * innovation[j]
+    return x, p, jnp.stack(innovation), jnp.stack(gain, axis=1), fit
+
+
+def filtered(problem: LinearProblem, keep: bool = False) -> Filtered:
+    """The Kalman filter, forward.
 
     Args:
-        path: guessed.
-        measured: along it.
-        variance: of each measurement per axis, (m/s)^2; any positive number where there is none.
-        imu: its noise.
-        prior: of the errors at the first epoch, before its measurement.
-        keep: mean and covariance at all epochs (else only the last: leaves with a first axis of one).
+        problem: with the defects of the trajectory as known inputs.
+        keep: mean and covariance at all epochs, else only at the last.
     """
-    size = prior.mean.shape[0]
+    lanes = problem.gap.shape[-1]
 
     def step(carry: Any, row: Any) -> Any:
         x, p, likelihood = carry
-        motion, gap, slope, r = row
-        x, p = forth(motion, x), forth(motion, forth(motion, p).T)
-        p = p + jnp.pad(_noise(motion, imu), (0, size - 6))
-        surprises, gains = [], []
-        for i in range(3):
-            h = slope[i]
-            g = jnp.sum(p * h, axis=1)
-            s = jnp.sum(g * h) + r
-            surprise, gain = (gap[i] - jnp.sum(h * x)) / s, g / s
-            x, p = x + g * surprise, p - g[:, None] * gain
-            likelihood = likelihood - 0.5 * (surprise * surprise * s + jnp.where(jnp.any(h != 0), jnp.log(s), 0.0))
-            surprises.append(surprise)
-            gains.append(gain)
-        return (x, p, likelihood), ((x, p) if keep else None, jnp.stack(surprises), jnp.stack(gains))
+        interval, process, gap, slope, variance, used = row
+        x = propagate(interval, process.fade, x)
+        x = jnp.concatenate([x[:STATES] + interval.defect, x[STATES:]])
+        p = _propagated(interval, process, p)
+        x, p, innovation, gain, fit = _updated(x, p, gap, slope, variance)
+        likelihood = likelihood - 0.5 * jnp.where(used, fit, 0.0)
+        return (x, p, likelihood), ((x, p) if keep else None, innovation, gain)
 
-    start = (prior.mean, jnp.diag(prior.variance), jnp.zeros(()))
-    last, (kept, innovation, gain) = jax.lax.scan(step, start, (path, measured.gap, measured.slope, variance))
-    mean, covariance = kept if keep else jax.tree.map(lambda x: x[None], last[:2])
+    prior = problem.prior
+    start = (prior.mean, jnp.eye(len(prior.mean))[:, :, None] * prior.variance[:, None], jnp.zeros(lanes))
+    rows = (problem.intervals, problem.process, problem.gap, problem.slope, problem.variance, problem.used)
+    last, (kept, innovation, gain) = jax.lax.scan(step, start, rows)
+    mean, covariance = kept if keep else last[:2]
     return Filtered(mean, covariance, innovation, gain, last[2])
 
 
-def smoothed(
-    path: Path, measured: Measured, variance: Float[Array, " K"], prior: Prior, found: Filtered
-) -> tuple[Float[Array, " n"], Float[Array, "K 3"]]:
-    """Back.
+def smoothed(problem: LinearProblem, found: Filtered) -> tuple[Float[Array, "K n L"], Float[Array, "K m L"]]:
+    """Backward and forward again.
 
     Returns:
-        The errors at the first epoch and the noise of each measurement, m/s, n0, by all measurements.
+        The errors at every epoch and the noise of each measurement by all measurements.
     """
+    process, prior = problem.process, problem.prior
 
-    def step(r: Any, row: Any) -> Any:
-        motion, slope, innovation, gain, variance = row
-        noise = [jnp.zeros(())] * 3
-        for i in reversed(range(3)):
-            u = innovation[i] - jnp.sum(gain[i] * r)
-            r = r + slope[i] * u
-            noise[i] = variance * u
-        return back(motion, r), jnp.stack(noise)
+    def backward(r: Any, row: Any) -> Any:
+        interval, process, slope, innovation, gain, variance = row
+        u = innovation - jnp.sum(gain * r[:, None], axis=0)
+        r = r + jnp.sum(slope * u[:, None], axis=0)
+        motion = sum(process.motion[:, i] * r[i] for i in range(6))
+        shock = jnp.concatenate([motion, process.others * r[6:]])
+        return transposed(interval, process.fade, r), (shock, variance * u)
 
-    rows = (path, measured.slope, found.innovation, found.gain, variance)
-    r, noise = jax.lax.scan(step, jnp.zeros_like(prior.mean), rows, reverse=True)
-    return prior.mean + prior.variance * r, noise
+    rows = (problem.intervals, process, problem.slope, found.innovation, found.gain, problem.variance)
+    r, (shock, noise) = jax.lax.scan(backward, jnp.zeros_like(prior.mean), rows, reverse=True)
+
+    def forward(x: Any, row: Any) -> Any:
+        interval, fade, shock = row
+        x = propagate(interval, fade, x) + shock
+        x = jnp.concatenate([x[:STATES] + interval.defect, x[STATES:]])
+        return x, x
+
+    first = prior.mean + prior.variance * r
+    return jax.lax.scan(forward, first, (problem.intervals, process.fade, shock))[1], noise

@@ -1,34 +1,83 @@
-"""An attitude that needs no guess: Wahba's problem with the first velocity free, reweighted over a whole history."""
+"""A trajectory that needs no guess: Wahba's problem with the first velocity free, reweighted over a whole history."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxalign.batch.model import Guess
-from jaxalign.epochs import Epochs
-from jaxalign.estimate import CentredSums, Held, reweighted
+from jaxalign.batch.reweight import lower_median
+from jaxalign.batch.trajectory import Trajectory
+from jaxalign.earth import Site
+from jaxalign.epochs import Epoch
+from jaxalign.estimate import davenport
 from jaxalign.observe.frames import Place, gravity_impulse, turn
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["misfit", "robust_start", "views"]
+__all__ = ["InitialState", "Views", "misfit", "robust_start", "views"]
 
 _CUTOFF = 6.0  # Tukey's
+_ROUNDS = 12
+_LAST = 4  # of them with Tukey's weight, those before with that of least absolute values
+_MEDIAN = 1.538  # of the length of three unit normal numbers
 
 
-def views(epochs: Epochs) -> tuple[Vec3, Vec3]:
-    """What the force and the aid say of the velocity gained since the first epoch.
+class InitialState(eqx.Module):
+    """At the first epoch.
 
-    Returns:
-        alpha (K,) in n0 and beta (K,) in b0, m/s: ``C_n0b0 beta - alpha`` is the first velocity (body aid), less it
-        (navigation aid), or zero (standing), but for noise. Left out is what would need the attitude: with a body
-        aid the transport rate and the term of Coriolis (0.1 m/s after 300 s at 5 m/s).
+    Attributes:
+        attitude: q_n0b0.
+        velocity: m/s, n0.
     """
-    place = Place.of(epochs.site)
-    w_ie, nav = place.earth_rate, epochs.aid == "nav"
+
+    attitude: Quat
+    velocity: Vec3
+
+
+class Views(eqx.Module):
+    """What the inertial unit and the aid say of the velocity gained since the first epoch.
+
+    ``C_n0b0 beta - alpha`` is the first velocity (body aid), less it (navigation aid), or zero (standing), but for
+    noise. Left out is what would need the attitude: with a body aid the transport rate and the term of Coriolis
+    (0.1 m/s after 300 s at 5 m/s).
+
+    Attributes:
+        alpha: (K, ...) m/s, n0.
+        beta: (K, ...) m/s, b0.
+        q_b0b: turn since the first epoch.
+        force: integrated specific force, m/s, b0.
+        fallen: integrated gravity, m/s, n0.
+    """
+
+    alpha: Vec3
+    beta: Vec3
+    q_b0b: Quat
+    force: Vec3
+    fallen: Vec3
+
+    def trajectory(self, start: InitialState) -> Trajectory:
+        """The trajectory that leads on from a start, without biases and the term of Coriolis."""
+        zero = jax.tree.map(lambda x: 0.0 * x, self.force)
+        velocity = start.velocity + start.attitude.rotate(self.force) + self.fallen
+        at = Trajectory(start.attitude * self.q_b0b, velocity, zero, zero)
+        shape = jnp.broadcast_shapes(*(x.shape for x in jax.tree.leaves(at)))
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), at)
+
+
+def views(rows: Epoch, site: Site, aid: str) -> Views:
+    """Sum up a log, or several side by side.
+
+    Args:
+        rows: leaves (K, ...).
+        site: leaves () or those that follow K.
+        aid: "static", "body" or "nav".
+    """
+    place = Place.of(site)
+    w_ie, nav = place.earth_rate, aid == "nav"
+    shape = rows.dvel.x.shape[1:]
 
     def step(carry: Any, row: Any) -> Any:
         q_b0b, q_n0n, force, fallen, moved, seen = carry
@@ -38,40 +87,70 @@ def views(epochs: Epochs) -> tuple[Vec3, Vec3]:
         fallen = fallen + q_n0n.rotate(gravity_impulse(rate, place.gravity, row.dt))
         q_b0b, q_n0n = (q_b0b * row.rotation).renormalised(), turn(q_n0n, rate, row.dt)
         moved = moved + q_n0n.rotate(velocity) * row.dt
-        if epochs.aid == "body":
+        if aid == "body":
             pair = fallen, q_b0b.rotate(row.velocity) - force
         elif nav:
             pair = q_n0n.rotate(row.velocity) + w_ie.cross(moved) - fallen, force
         else:
             pair = -fallen, force
-        return (q_b0b, q_n0n, force, fallen, moved, velocity), pair
+        carry = (q_b0b, q_n0n, force, fallen, moved, velocity)
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), carry), Views(*pair, q_b0b, force, fallen)
 
     zero, none = Vec3.zero(), Quat.identity()
-    return jax.lax.scan(step, (none, none, zero, zero, zero, zero), epochs.rows)[1]
+    start = jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (none, none, zero, zero, zero, zero))
+    found = jax.lax.scan(step, start, rows)[1]
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (len(rows.dt), *shape)), found)
 
 
 def robust_start(
-    alpha: Vec3, beta: Vec3, used: Bool[Array, " K"], sd: Any, aid: str
-) -> tuple[Guess, Float[Array, " K"], Float[Array, ""]]:
+    alpha: Vec3, beta: Vec3, used: Bool[Array, "K L"], sd: Any, aid: str
+) -> tuple[InitialState, Float[Array, "K L"], Float[Array, " L"]]:
     """Attitude and first velocity that most of the pairs agree on.
 
+    Rounds with the weight of least absolute values, which need no start, then with Tukey's, which throws out.
+
     Args:
-        alpha: (K,) in n0.
-        beta: (K,) in b0.
+        alpha: (K, L) in n0.
+        beta: (K, L) in b0.
         used: which of them to use.
         sd: least noise to believe in, m/s.
         aid: kind of aid.
 
     Returns:
-        The guess, the weights (0..1) and the standard deviation (m/s per axis) of what is left.
+        The start, the weights (0..1) and the standard deviation (m/s per axis) of what is left.
     """
-    held = Held(alpha, beta, None, Vec3.zero(), used)
-    found, sums, weight, scale = reweighted(CentredSums.zero(False), held, Quat.identity(), False, sd, _CUTOFF)
-    offset = sums.offset(found.attitude, Vec3.zero())
-    return Guess.of(found.attitude, offset if aid == "nav" else -offset), weight, scale
+
+    def mean(v: Vec3, weight: Any) -> Vec3:
+        total = jnp.sum(weight, axis=0)
+        least = jnp.where(total > 0, total, 1.0)
+        return jax.tree.map(lambda x: jnp.sum(weight * x, axis=0) / least, v)
+
+    def solved(weight: Any) -> tuple[Quat, Vec3]:
+        a, b = mean(alpha, weight), mean(beta, weight)
+        profile = jax.tree.map(lambda x: jnp.sum(x, axis=0), ((alpha - a) * weight).outer(beta - b))
+        attitude = davenport(profile).vector
+        return attitude, a - attitude.rotate(b)
+
+    def round_(carry: Any, number: Any) -> Any:
+        weight = carry[0]
+        attitude, offset = solved(weight)
+        length = (alpha - attitude.rotate(beta) - offset).norm()
+        scale = jnp.maximum(lower_median(length, used) / _MEDIAN, sd)
+        near = jnp.minimum(1.0, scale / jnp.maximum(length, scale))
+        tukey = jnp.maximum(0.0, 1.0 - (length / (_CUTOFF * scale)) ** 2) ** 2
+        new = jnp.where(used, jnp.where(number >= _ROUNDS - _LAST, tukey, near), 0.0)
+        return (new, weight, attitude, offset, scale, carry[4]), None
+
+    lanes = used.shape[1:]
+    zero = jnp.zeros(lanes)
+    weight = used * 1.0
+    start = (weight, weight, Quat(zero + 1.0, zero, zero, zero), Vec3(zero, zero, zero), zero, zero)
+    # One round more: it solves with the weights of the last one, and its own are not used.
+    (_, weight, attitude, offset, _, scale), _ = jax.lax.scan(round_, start, jnp.arange(_ROUNDS + 1))
+    return InitialState(attitude, offset if aid == "nav" else -offset), weight, scale
 
 
-def misfit(alpha: Vec3, beta: Vec3, guess: Guess, aid: str) -> Vec3:
-    """(K,) what the pairs are off a guess, m/s, n0."""
-    velocity = guess.velocity if aid == "nav" else -guess.velocity
-    return alpha - guess.attitude.rotate(beta) - velocity
+def misfit(alpha: Vec3, beta: Vec3, start: InitialState, aid: str) -> Vec3:
+    """(K,) what the pairs are off a start, m/s, n0."""
+    velocity = start.velocity if aid == "nav" else -start.velocity
+    return alpha - start.attitude.rotate(beta) - velocity

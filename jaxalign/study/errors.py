@@ -14,8 +14,8 @@ from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.rotation import attitude_error, euler_from_quat, quat_from_dcm
 from jaxalign.simulate import Scenario, Truth
-from jaxalign.solution import Status
-from jaxalign.study.feed import Feed, run_axes
+from jaxalign.solution import Solution, Status
+from jaxalign.study.feed import Feed
 
 __all__ = ["Errors", "Rows", "errors_of", "rows_of"]
 
@@ -74,12 +74,12 @@ def errors_of(method: Any, epochs: Epochs, exact: Truth, where: Rows) -> Errors:
     """Align the runs of a block (last axis of the leaves of ``epochs``) and compare with the truth. Pure."""
     reference = quat_from_dcm(exact.C_nb[where.places])
 
-    def run(epochs: Epochs) -> Errors:
-        found = jax.tree.map(lambda x: x[where.rows], method.solve(epochs, where.every))
+    def run(found: Solution) -> Errors:
+        found = jax.tree.map(lambda x: x[where.rows], found)
         euler = jnp.rad2deg(euler_from_quat(found.q_nb) - euler_from_quat(reference))
         euler, phi = (euler + 180.0) % 360.0 - 180.0, jnp.rad2deg(attitude_error(found.q_nb, reference))
         failed = (found.status & int(Status.NON_FINITE)) != 0
         known = (found.defined & ~failed)[:, None]
         return Errors(jnp.where(known, euler, jnp.nan), jnp.where(known, phi, jnp.nan), failed)
 
-    return jax.vmap(run, in_axes=(run_axes(epochs),))(epochs)
+    return jax.vmap(run)(method.solve_runs(epochs, where.every))

@@ -1,0 +1,211 @@
+"""From a start to a solution: the step repeated, from several headings where that is wished.
+
+Two drivers of the same step. Inside traced code it is a loop of the program, with derivatives. On the host the step is
+a program of its own, called again and again: rows in groups of a few lanes, epochs filled up to one of few lengths, so
+that logs of similar length and all grades, rows and starts share it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxalign.batch.modes import best_of, turns
+from jaxalign.batch.solver import Model, Problem, Readout, State, initial_state, step
+from jaxalign.batch.start import views
+from jaxalign.epochs import Epoch, Epochs
+
+__all__ = ["LANES", "Found", "on_host", "padded", "traced"]
+
+LANES = 16
+"""Rows or runs side by side: what the step holds of them stays in the fastest cache."""
+_POLISH = 3  # steps that are differentiated, from the solution on
+
+
+class Found(NamedTuple):
+    """Solutions and the vectors of their epochs.
+
+    Attributes:
+        read: lanes on the last axis.
+        alpha: (3, L) m/s, n0.
+        beta: (3, L) m/s, b0.
+    """
+
+    read: Readout
+    alpha: Float[Array, "3 L"]
+    beta: Float[Array, "3 L"]
+
+
+def _begun(model: Model, problem: Problem) -> tuple[State, Array, Array]:
+    seen = views(problem.rows, problem.site, model.aid)
+
+    def at_last(v: Any) -> Array:
+        lanes = problem.last.shape
+        full = jnp.stack([jnp.broadcast_to(x, (len(x), *lanes)) for x in (v.x, v.y, v.z)])
+        return jnp.take_along_axis(full, jnp.broadcast_to(problem.last, (3, 1, *lanes)), axis=1)[:, 0]
+
+    return initial_state(model, problem, seen), at_last(seen.alpha), at_last(seen.beta)
+
+
+def _turned(begun: State, found: State, angle: Any, aid: str) -> State:
+    """To begin again from a solution with another heading; a navigation aid has measured the velocity."""
+    return dataclasses.replace(begun, at=found.at.turned(angle, aid != "nav"))
+
+
+def _best(reads: Readout) -> Readout:
+    """Of the solutions from several headings (first axis) the most likely, the others in mind."""
+
+    def one(q: Any, tilt: Any, likelihood: Any) -> Any:
+        return best_of(q, tilt, likelihood)
+
+    best, tilt = jax.vmap(one, in_axes=-1, out_axes=-1)(reads.q_nb, reads.tilt, reads.log_likelihood)
+    chosen = jax.tree.map(lambda x: jnp.take_along_axis(x, best.reshape(1, *[1] * (x.ndim - 2), -1), axis=0)[0], reads)
+    return dataclasses.replace(chosen, tilt=tilt)
+
+
+def _rounds(model: Model, problem: Problem, state: State, first: int, count: int, early: int) -> tuple[State, Readout]:
+    """So many steps; the last one only reads out."""
+
+    def body(carry: Any, number: Any) -> Any:
+        state, _, _ = carry
+        new, read = step(model, problem, state, number < early, number == first + count - 1)
+        return (new, state, read), None
+
+    nothing = jax.eval_shape(lambda: step(model, problem, state, True, True)[1])
+    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), nothing)
+    numbers = jnp.arange(first, first + count)
+    (_, before, read), _ = jax.lax.scan(body, (state, state, zeros), numbers)
+    return before, read
+
+
+def _searched(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> tuple[Readout, State]:
+    """All starts; the solution and the state that it was read from."""
+
+    def search(first: Any, number: Any) -> Any:
+        start = jax.tree.map(
+            lambda a, b: jnp.where(number == 0, a, b), begun, _turned(begun, first, angles[number], model.aid)
+        )
+        state, read = _rounds(model, problem, start, 0, iterations + 1, iterations // 2)
+        return jax.tree.map(lambda a, b: jnp.where(number == 0, a, b), state, first), (read, state)
+
+    if starts == 1:
+        state, read = _rounds(model, problem, begun, 0, iterations + 1, iterations // 2)
+        return read, state
+    angles = jnp.asarray([0.0, *turns(starts)])
+    _, (reads, states) = jax.lax.scan(search, begun, jnp.arange(starts))
+    best = jnp.argmax(jnp.where(jnp.isfinite(reads.log_likelihood), reads.log_likelihood, -jnp.inf), axis=0)
+    state = jax.tree.map(lambda x: jnp.take_along_axis(x, jnp.broadcast_to(best, (1, *x.shape[1:])), axis=0)[0], states)
+    return _best(reads), state
+
+
+@eqx.filter_custom_jvp
+def _converged(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> Readout:
+    """The solution; its derivatives are those of the last steps, from the solution itself: nothing else is kept."""
+    return _searched(model, problem, begun, iterations, starts)[0]
+
+
+@_converged.def_jvp
+def _converged_jvp(primals: Any, tangents: Any) -> Any:
+    model, problem, begun, iterations, starts = primals
+    read, state = jax.lax.stop_gradient(_searched(model, problem, begun, iterations, starts))
+
+    def polished(model: Model, problem: Problem) -> Readout:
+        one = jax.checkpoint(lambda state, _: (step(model, problem, state, False, False)[0], None), prevent_cse=False)
+        last, _ = jax.lax.scan(one, state, None, length=_POLISH)
+        return step(model, problem, last, False, True)[1]
+
+    _, moved = eqx.filter_jvp(polished, (model, problem), (tangents[0], tangents[1]))
+    return read, moved
+
+
+def traced(model: Model, problem: Problem, iterations: int, starts: int) -> Found:
+    """The solutions of some lanes, inside traced code."""
+    begun, alpha, beta = _begun(model, problem)
+    return Found(_converged(model, problem, begun, iterations, starts), alpha, beta)
+
+
+def padded(count: int) -> int:
+    """The next of few lengths: powers of two and half way between them, at least 64."""
+    size = 64
+    while size < count:
+        size += size // 2 if size & (size - 1) == 0 else size // 3
+    return size
+
+
+def _filled(rows: Epoch) -> Epoch:
+    """Epochs (K,) filled up with nothing, one lane: (K', 1)."""
+    count = len(rows.dt)
+    more = padded(count) - count
+
+    def fill(x: Any, value: Any = 0) -> np.ndarray:
+        x = np.asarray(x)
+        return np.concatenate([x, np.full(more, value, x.dtype)])[:, None]
+
+    out = jax.tree.map(fill, rows)
+    return eqx.tree_at(lambda e: e.rotation.w, out, fill(rows.rotation.w, 1.0))
+
+
+_begin, _step = eqx.filter_jit(_begun), eqx.filter_jit(step)
+_again = eqx.filter_jit(_turned)
+_chosen = jax.jit(_best)
+
+
+def on_host(
+    model: Model,
+    epochs: Epochs,
+    last: np.ndarray,
+    iterations: int,
+    starts: int,
+    *,
+    lanes: int = LANES,
+    done: Callable[[int], None] = lambda rows: None,
+) -> Found:
+    """The solutions of some rows, or of some models, of one log; NumPy arrays.
+
+    Args:
+        model: its figures of the unit may be (n,).
+        epochs: of a log.
+        last: (n,) epochs up to which fixes count.
+        iterations: steps.
+        starts: headings to start from.
+        lanes: side by side.
+        done: told how many rows are finished, group by group.
+    """
+    rows = _filled(epochs.rows)
+    groups = []
+    for own, problem, count in _groups(model, epochs, rows, np.asarray(last), lanes):
+        begun, alpha, beta = _begin(own, problem)
+        reads, first = [], begun
+        for angle in (0.0, *turns(starts)):
+            state = begun if not reads else _again(begun, first, np.float64(angle), own.aid)
+            for number in range(iterations + 1):
+                before = state
+                state, read = _step(
+                    own, problem, state, np.asarray(number < iterations // 2), np.asarray(number == iterations)
+                )
+            first = before if not reads else first
+            reads.append(read)
+        read = reads[0] if starts == 1 else _chosen(jax.tree.map(lambda *x: jnp.stack(x), *reads))
+        groups.append(jax.tree.map(lambda x, n=count: np.asarray(x)[..., :n], Found(read, alpha, beta)))
+        done(count)
+    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *groups)
+
+
+def _groups(model: Model, epochs: Epochs, rows: Epoch, last: np.ndarray, lanes: int) -> Iterator[tuple[Any, Any, int]]:
+    """Models and problems of so many lanes each; the last one is filled up with its last row."""
+    for begin in range(0, len(last), lanes):
+        count = min(lanes, len(last) - begin)
+        index = np.minimum(begin + np.arange(lanes), len(last) - 1)
+
+        def of_lanes(x: Any, index: np.ndarray = index) -> np.ndarray:
+            return np.broadcast_to(np.asarray(x), (len(last),))[index]
+
+        own = dataclasses.replace(model, imu=jax.tree.map(of_lanes, model.imu))
+        yield own, Problem(rows, epochs.site, epochs.aid_sd, last[index]), count

@@ -1,0 +1,123 @@
+"""What is thought of each fix: the probability that it is none of the outliers, its weight, and the noise of all.
+
+Arrays have the epochs on the first axis and lanes on the last, as everywhere in this room.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxalign.vector import Vec3, root
+
+__all__ = ["estimated", "lower_median", "median_variance", "outlier_odds", "settled", "weighed"]
+
+_BELIEF = 6.0  # numbers that the stated noise of the aid is worth
+_FITTED = 8.0  # numbers that the attitude, the first velocity and what is seen of the biases take up
+_LONGEST = 0.95  # correlation of neighbouring fixes
+_MEDIAN = 2.366  # of the squared length of a normal vector
+_SETTLED = 3.0  # times the variance that is left, a squared change may well be noise
+
+
+def lower_median(x: Float[Array, "K L"], used: Bool[Array, "K L"]) -> Float[Array, " L"]:
+    """The lower median over the first axis of numbers that are not negative; zero where none is used.
+
+    By bisection over the bits of the numbers, which are in their order: no sort. They are rounded to float32, and the
+    result has no derivative.
+    """
+    bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x).astype(jnp.float32), jnp.int32)
+    count = jnp.sum(used, axis=0)
+    wanted = (count - 1) // 2
+
+    def halve(i: Any, low: Any) -> Any:
+        middle = low | (jnp.int32(1) << (30 - i))
+        return jnp.where(jnp.sum(used & (bits < middle), axis=0) <= wanted, middle, low)
+
+    low = jax.lax.fori_loop(0, 31, halve, jnp.zeros(x.shape[1:], jnp.int32))
+    return jnp.where(count > 0, jax.lax.bitcast_convert_type(low, jnp.float32).astype(jnp.float64), 0.0)
+
+
+def median_variance(noise: Float[Array, "K 3 L"], used: Any, stated: Any) -> Float[Array, " L"]:
+    """Variance of the noise by its median, which a half of outliers does not move; at least the stated one."""
+    return jnp.maximum(lower_median(jnp.sum(noise**2, axis=1), used) / _MEDIAN, stated**2)
+
+
+def weighed(
+    noise: Float[Array, "K m L"], variance: Any, used: Any, probability: Any, ratio: Any
+) -> tuple[Float[Array, "K L"], Float[Array, "K L"]]:
+    """Probability that each fix is no outlier, and its weight.
+
+    Args:
+        noise: of each component, in units of which the variance is that of all.
+        variance: (L,).
+        used: (K, L) where there is a fix.
+        probability: of an outlier beforehand.
+        ratio: standard deviation of outliers over that of the others.
+    """
+    square = jnp.sum(noise**2, axis=1) / variance
+    wide = ratio**2
+    odds = jnp.log((1 - probability) / probability) + 0.5 * noise.shape[1] * jnp.log(wide)
+    good = jnp.where(used, jax.nn.sigmoid(odds - 0.5 * square * (1 - 1 / wide)), 0.0)
+    return good, good + (1 - good) / wide
+
+
+def outlier_odds(weight: Any, used: Any, probability: Any, ratio: Any) -> Float[Array, " L"]:
+    """Log-probability of as many outliers as there seem to be, less that of none."""
+    wide = ratio**2
+    bad = jnp.where(used, 1.0 - (weight - 1.0 / wide) / (1.0 - 1.0 / wide), 0.0)
+    return jnp.sum(bad, axis=0) * jnp.log(probability / (1.0 - probability))
+
+
+def _persistence(noise: Any, good: Any, variance: Any) -> Any:
+    """How many times the noise of a fix counts because its neighbours share it: (1 + r) / (1 - r).
+
+    r is the correlation of neighbouring fixes, never taken for negative; white noise with the variance so enlarged
+    has the same density at low frequencies, where the attitude is.
+    """
+    pair = (good[1:] * good[:-1])[:, None]
+    shared = jnp.sum(pair * noise[1:] * noise[:-1], axis=(0, 1))
+    own = 0.5 * jnp.sum(pair * (noise[1:] ** 2 + noise[:-1] ** 2), axis=(0, 1))
+    r = jnp.clip(shared / (own + _BELIEF * variance), 0.0, _LONGEST)
+    return (1.0 + r) / (1.0 - r)
+
+
+def estimated(noise: Any, good: Any, stated: Any, mode: str) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
+    """Variance of the noise and how many times it counts, by the fixes that are no outliers.
+
+    Args:
+        noise: (K, m, L).
+        good: (K, L) probability that a fix is no outlier.
+        stated: (L,) standard deviation.
+        mode: "at_least", "estimated" or "stated", see :class:`jaxalign.RobustMap`.
+    """
+    lanes = noise.shape[-1]
+    if mode == "stated":
+        return jnp.broadcast_to(stated**2, (lanes,)), jnp.ones(lanes)
+    squares = jnp.sum(good[:, None] * noise**2, axis=(0, 1))
+    count = jnp.maximum(noise.shape[1] * jnp.sum(good, axis=0) - _FITTED, 0.0)
+    variance = (_BELIEF * stated**2 + squares) / (_BELIEF + count)
+    if mode == "at_least":
+        variance = jnp.maximum(variance, stated**2)
+    return variance, _persistence(noise, good, variance)
+
+
+def settled(velocity: Vec3, left: Float[Array, "K L"], variance: Float[Array, "K L"], used: Any) -> Vec3:
+    """(K, L) velocities without the part of their changes that is noise.
+
+    A vehicle that keeps its velocity says nothing of the heading, but the noise of its velocity would.
+
+    Args:
+        velocity: smoothed, m/s, n0.
+        left: variance of each fix's prediction after it, all components together.
+        variance: of the fixes.
+        used: where there is one.
+    """
+    weight = jnp.where(used, 1.0 / variance, 0.0)
+    total = jnp.maximum(jnp.sum(weight, axis=0), 1e-300)
+    mean = jax.tree.map(lambda x: jnp.sum(weight * x, axis=0) / total, velocity)
+    change = velocity - mean
+    size = jnp.maximum(change.norm2(), 1e-300)
+    return mean + change * root(jnp.maximum(1.0 - _SETTLED * left / size, 0.0))
