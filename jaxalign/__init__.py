@@ -16,40 +16,47 @@ into vector pairs, reconstructs, weighs and accumulates them, and reads out atti
 of it a :mod:`jaxalign.prefilter` may smooth the force of a standing vehicle.
 """
 
-from jaxalign import earth, io, methods, metrics, prefilter, rotation, simulate, study
-from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
-from jaxalign.auto import Choice, choose
-from jaxalign.batch import ImuErrors, RobustMap, imu_errors
-from jaxalign.bounds import Bound, bound
-from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
-from jaxalign.errors import UserError
-from jaxalign.estimate import (
-    AbstractEstimate,
-    CentredWahba,
-    KMatrixFilter,
-    OptimalRequest,
-    QMethod,
-    QuaternionFilter,
-    Readout,
-    Request,
-    RevisingWahba,
-    davenport,
-)
-from jaxalign.fine import ErrorFilter, Fine
-from jaxalign.io import read
-from jaxalign.log import Log
-from jaxalign.navigate import NavState, navigate
-from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
-from jaxalign.parameters import parameters, tunable, with_parameters
-from jaxalign.preintegrate import Increment, preintegrate
-from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Measured, Rls
-from jaxalign.record_method import AbstractRecordMethod
-from jaxalign.solution import FilterRecord, Solution, Status
-from jaxalign.two_vector import DualVector, MeanTriad
-from jaxalign.uncertainty import assess
-from jaxalign.vector import Mat3, Quat, Vec3
-from jaxalign.weight import AbstractWeight, Huber, Mahalanobis, Unit
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxalign.lazy import lazily
+
+if TYPE_CHECKING:
+    from jaxalign import compilation, earth, io, methods, metrics, prefilter, rotation, simulate, study
+    from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
+    from jaxalign.auto import Choice, choose
+    from jaxalign.batch import ImuErrors, RobustMap, imu_errors
+    from jaxalign.bounds import Bound, bound
+    from jaxalign.earth import Site
+    from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
+    from jaxalign.errors import UserError
+    from jaxalign.estimate import (
+        AbstractEstimate,
+        CentredWahba,
+        KMatrixFilter,
+        OptimalRequest,
+        QMethod,
+        QuaternionFilter,
+        Readout,
+        Request,
+        RevisingWahba,
+        davenport,
+    )
+    from jaxalign.fine import ErrorFilter, Fine
+    from jaxalign.io import read
+    from jaxalign.log import Log
+    from jaxalign.navigate import NavState, navigate
+    from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
+    from jaxalign.parameters import parameters, tunable, with_parameters
+    from jaxalign.preintegrate import Increment, preintegrate
+    from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Measured, Rls
+    from jaxalign.record_method import AbstractRecordMethod
+    from jaxalign.solution import FilterRecord, Solution, Status
+    from jaxalign.two_vector import DualVector, MeanTriad
+    from jaxalign.uncertainty import assess
+    from jaxalign.vector import Mat3, Quat, Vec3
+    from jaxalign.weight import AbstractWeight, Huber, Mahalanobis, Unit
 
 __version__ = "0.1.0"
 
@@ -105,6 +112,7 @@ __all__ = [
     "assess",
     "bound",
     "choose",
+    "compilation",
     "davenport",
     "earth",
     "epochs_from_arrays",
@@ -125,3 +133,32 @@ __all__ = [
     "tunable",
     "with_parameters",
 ]
+
+_HOMES = {
+    "aligner": "Aligner AlignState align estimate_aid_sd",
+    "auto": "Choice choose",
+    "batch": "ImuErrors RobustMap imu_errors",
+    "bounds": "Bound bound",
+    "earth": "Site",
+    "epochs": "Epoch Epochs epochs_from_arrays epochs_from_log",
+    "errors": "UserError",
+    "estimate": (
+        "AbstractEstimate CentredWahba KMatrixFilter OptimalRequest QMethod QuaternionFilter Readout Request "
+        "RevisingWahba davenport"
+    ),
+    "fine": "ErrorFilter Fine",
+    "io": "read",
+    "log": "Log",
+    "navigate": "NavState navigate",
+    "observe": "AbstractObserve BodyVelocity Context NavVelocity Pair Static",
+    "parameters": "parameters tunable with_parameters",
+    "preintegrate": "Increment preintegrate",
+    "reconstruct": "AbstractReconstruct ApparentVelocityFilter Measured Rls",
+    "record_method": "AbstractRecordMethod",
+    "solution": "FilterRecord Solution Status",
+    "two_vector": "DualVector MeanTriad",
+    "uncertainty": "assess",
+    "vector": "Mat3 Quat Vec3",
+    "weight": "AbstractWeight Huber Mahalanobis Unit",
+}
+__getattr__, __dir__ = lazily(__name__, _HOMES)

@@ -20,6 +20,7 @@ from jaxalign.errors import UserError
 from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
 from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
+from jaxalign.parameters import as_float64
 from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.prefilter.base import optional_prefilter, without_prefilter
@@ -379,5 +380,5 @@ def epochs_for(method: Any, log: Log | Epochs, aid_sd: Any = None) -> Epochs:
     if aid_sd is not None:
         if not isinstance(aid_sd, Tracer) and not np.all(np.asarray(aid_sd) > 0):
             raise UserError(f"aid_sd = {aid_sd}: the standard deviation of the aid's noise must be above 0 m/s")
-        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(aid_sd, jnp.float64))
+        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, as_float64(aid_sd))
     return epochs

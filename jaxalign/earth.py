@@ -11,7 +11,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxalign.parameters import as_float64
 from jaxalign.vector import Vec3
+from jaxalign.wgs84 import EARTH_RATE, ECCENTRICITY2, SEMI_MAJOR_AXIS, STANDARD_GRAVITY, gravity
 
 __all__ = [
     "EARTH_RATE",
@@ -24,20 +26,6 @@ __all__ = [
     "radii",
     "transport_rate",
 ]
-
-EARTH_RATE = 7.292115e-5
-"""rad/s (WGS-84)."""
-SEMI_MAJOR_AXIS = 6378137.0
-"""m (WGS-84)."""
-ECCENTRICITY2 = 0.00669437999014
-"""First eccentricity squared (WGS-84)."""
-STANDARD_GRAVITY = 9.80665
-"""m/s^2: the g of "10 mg" and "50 ug"."""
-
-_GRAVITY_EQUATOR = 9.7803253359
-_SOMIGLIANA = 0.00193185265241
-_FLATTENING = 1 / 298.257223563
-_CENTRIFUGAL_RATIO = 0.00344978650684
 
 
 class Site(eqx.Module):
@@ -56,10 +44,10 @@ class Site(eqx.Module):
     anomaly: Float[Array, ""]
 
     def __init__(self, lat: Any, lon: Any = 0.0, h: Any = 0.0, anomaly: Any = 0.0):
-        self.lat = jnp.asarray(lat, jnp.float64)
-        self.lon = jnp.asarray(lon, jnp.float64)
-        self.h = jnp.asarray(h, jnp.float64)
-        self.anomaly = jnp.asarray(anomaly, jnp.float64)
+        self.lat = as_float64(lat)
+        self.lon = as_float64(lon)
+        self.h = as_float64(h)
+        self.anomaly = as_float64(anomaly)
 
     @property
     def gravity(self) -> Any:
@@ -98,11 +86,7 @@ class Parallel(eqx.Module):
 
     def normal_gravity(self, h: Any) -> Any:
         """Normal gravity (m/s^2): Somigliana at the ellipsoid, second order in the height (WGS-84)."""
-        s2 = self.sin**2
-        surface = _GRAVITY_EQUATOR * (1.0 + _SOMIGLIANA * s2) / jnp.sqrt(1.0 - ECCENTRICITY2 * s2)
-        x = h / SEMI_MAJOR_AXIS
-        slope = 1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * s2
-        return surface * (1.0 - 2.0 * slope * x + 3.0 * x * x)
+        return gravity(self.sin, h, jnp.sqrt)
 
     @property
     def earth_rate(self) -> Vec3:

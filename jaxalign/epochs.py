@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
 from jaxalign.log import Log
+from jaxalign.parameters import as_float64
 from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter, filtered_force
 from jaxalign.preintegrate import Increment, Scheme, preintegrate
@@ -190,12 +191,15 @@ def epochs_from_arrays(
     if prefilter is not None:
         check_prefilter(prefilter, aid)
         dvel = _filtered(prefilter, dtheta, dvel, _digits(dt))
-    intervals = len(jnp.asarray(dtheta)) // every
-    velocity = jnp.zeros((intervals + 1, 3)) if velocity is None else jnp.asarray(velocity)
+    intervals = np.shape(dtheta)[0] // every  # nothing here is an operation of JAX: each would be compiled
+    if velocity is None:
+        velocity = np.zeros((intervals + 1, 3))
+    elif not isinstance(velocity, jax.Array):
+        velocity = np.asarray(velocity)
     if len(velocity) != intervals + 1:
         raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {len(velocity)}")
     rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
-    return Epochs(rows, site, jnp.asarray(aid_sd, jnp.float64), aid, _digits(every * dt), prefilter is not None)
+    return Epochs(rows, site, as_float64(aid_sd), aid, _digits(every * dt), prefilter is not None)
 
 
 def epochs_from_log(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from jaxalign.earth import EARTH_RATE, normal_gravity
 from jaxalign.log import Log
 from jaxalign.plausibility import median_force
+from jaxalign.wgs84 import EARTH_RATE, gravity
 
 __all__ = ["describe"]
 
@@ -70,7 +72,7 @@ def _aid(log: Log, interval: float) -> list[tuple[str, str]]:
 
 
 def _inertial(log: Log) -> list[tuple[str, str]]:
-    gravity = float(normal_gravity(log.lat, log.h))
+    normal = gravity(math.sin(log.lat), log.h, math.sqrt)
     force = median_force(log.dvel, log.dt)
     mean_f = log.dvel.mean(axis=0) / log.dt
     mean_w = log.dtheta.mean(axis=0) / log.dt
@@ -80,7 +82,7 @@ def _inertial(log: Log) -> list[tuple[str, str]]:
     return [
         (
             "median |f|",
-            f"{force:.5f} m/s^2; normal gravity {gravity:.5f} m/s^2 ({(force / gravity - 1) * 1e6:+.0f} ppm)",
+            f"{force:.5f} m/s^2; normal gravity {normal:.5f} m/s^2 ({(force / normal - 1) * 1e6:+.0f} ppm)",
         ),
         ("mean f", f"{axes} m/s^2, {tilt:.2f} deg off +z (up)"),
         ("mean gyro rate", f"{rate:.2f} deg/h; Earth rate {EARTH_RATE * _DEG_PER_HOUR:.2f} deg/h"),

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from jaxalign import checks
-from jaxalign.earth import SEMI_MAJOR_AXIS
 from jaxalign.errors import UserError
 from jaxalign.plausibility import axis_warnings, check_gyro_units, check_specific_force
+from jaxalign.wgs84 import SEMI_MAJOR_AXIS
 
 __all__ = ["AIDS", "Log"]
 

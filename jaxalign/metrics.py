@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxalign.host import attitude_error, quat_from_dcm
 from jaxalign.log import Log
-from jaxalign.rotation import attitude_error, quat_from_dcm
 from jaxalign.solution import Solution
 
 __all__ = ["attitude_error_deg", "reference_at"]
@@ -40,6 +40,6 @@ def attitude_error_deg(solution: Solution, log: Log) -> np.ndarray | None:
         return None
     known = np.isfinite(reference).all(axis=(1, 2)) & np.asarray(solution.defined)
     safe = np.where(known[:, None, None], reference, np.eye(3))
-    phi = np.array(np.rad2deg(attitude_error(solution.q_nb, quat_from_dcm(safe))))
+    phi = np.rad2deg(attitude_error(np.asarray(solution.q_nb), quat_from_dcm(safe)))
     phi[~known] = np.nan
     return phi

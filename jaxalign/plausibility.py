@@ -18,8 +18,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxalign.earth import EARTH_RATE, STANDARD_GRAVITY
 from jaxalign.errors import UserError
+from jaxalign.wgs84 import EARTH_RATE, STANDARD_GRAVITY
 
 __all__ = ["axis_warnings", "check_gyro_units", "check_specific_force", "mean_force_axis", "median_force"]
 

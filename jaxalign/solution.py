@@ -5,14 +5,13 @@ from __future__ import annotations
 from enum import IntFlag
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.errors import UserError
-from jaxalign.rotation import dcm_from_quat, euler_covariance, euler_from_quat, heading_deg
+from jaxalign.host import dcm_from_quat, euler_covariance, euler_from_quat, heading_deg
 from jaxalign.vector import root
 
 __all__ = ["FilterRecord", "Solution", "Status", "check_threshold"]
@@ -35,11 +34,6 @@ class Status(IntFlag):
     """The filter's innovation covariance was singular at some epoch: from there on it takes no vectors."""
     INDICATIVE = 64
     """The covariance leaves something out that matters here: take it as a hint."""
-
-
-_dcm, _euler = jax.jit(dcm_from_quat), jax.jit(euler_from_quat)
-_euler_covariance = jax.jit(euler_covariance)
-_heading = jax.jit(lambda q: heading_deg(euler_from_quat(q)[..., 2]))
 
 
 def check_threshold(heading_sd_deg: float) -> None:
@@ -134,7 +128,7 @@ class Solution(eqx.Module):
         """(K, 3) of pitch, roll and heading in degrees on the host, NaN where there is no attitude."""
         if self.covariance is None:
             return None
-        variance = np.diagonal(_euler_covariance(self.q_nb, self.covariance), axis1=-2, axis2=-1)
+        variance = np.diagonal(euler_covariance(np.asarray(self.q_nb), np.asarray(self.covariance)), axis1=-2, axis2=-1)
         return self._masked(np.rad2deg(np.sqrt(variance)))
 
     def aligned(self, heading_sd_deg: float) -> np.ndarray:
@@ -156,17 +150,17 @@ class Solution(eqx.Module):
     @property
     def C_nb(self) -> np.ndarray:
         """(K, 3, 3) on the host, NaN where there is no attitude."""
-        return self._masked(_dcm(self.q_nb))
+        return self._masked(dcm_from_quat(np.asarray(self.q_nb)))
 
     @property
     def euler_deg(self) -> np.ndarray:
         """(K, 3) pitch, roll, yaw in degrees on the host, NaN where there is no attitude."""
-        return self._masked(np.rad2deg(_euler(self.q_nb)))
+        return self._masked(np.rad2deg(euler_from_quat(np.asarray(self.q_nb))))
 
     @property
     def heading_deg(self) -> np.ndarray:
         """(K,) clockwise from north, 0..360 deg, on the host, NaN where there is no attitude."""
-        return self._masked(_heading(self.q_nb))
+        return self._masked(heading_deg(euler_from_quat(np.asarray(self.q_nb))[..., 2]))
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """Everything a file should hold, as NumPy arrays; NaN where there is no attitude yet."""
@@ -184,7 +178,8 @@ class Solution(eqx.Module):
             "aid_sd": np.asarray(self.aid_sd),
         }
         if self.covariance is not None:
-            out["sd_deg"] = self._masked(np.rad2deg(np.asarray(self.sd)))
+            variance = np.diagonal(np.asarray(self.covariance), axis1=-2, axis2=-1)
+            out["sd_deg"] = self._masked(np.rad2deg(np.sqrt(variance)))
             out["euler_sd_deg"] = self.euler_sd_deg
             out["attitude_covariance"] = self._masked(self.covariance)
         if self.filter is not None:

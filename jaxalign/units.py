@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from jaxalign.earth import STANDARD_GRAVITY
+from jaxalign.wgs84 import STANDARD_GRAVITY
 
 __all__ = ["DEG_H", "DEG_SQRT_H", "UG"]
 

@@ -8,8 +8,6 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from jaxalign.errors import UserError
 
 if TYPE_CHECKING:
@@ -80,6 +78,7 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     import jax
+    import numpy as np
 
     import jaxalign
     from jaxalign.aligner import align, check_every

@@ -19,7 +19,7 @@ def add(commands: Any) -> None:
         "against the Earth's, and likely mistakes of axes or units.",
     )
     add_log_arguments(command)
-    command.set_defaults(run=_run)
+    command.set_defaults(run=_run, needs_jax=False)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -5,14 +5,13 @@ Exit codes: 0 done, 1 stopped early (tune: a loss that is no number), 2 user err
 
 from __future__ import annotations
 
-import argparse
-import importlib
 import os
 import sys
-from collections.abc import Sequence
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from jaxalign.errors import UserError
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
 
 __all__ = ["entry", "main", "parser"]
 
@@ -21,6 +20,9 @@ _COMMANDS = ("align", "bound", "info", "methods", "simulate", "study", "tune")
 
 def parser() -> argparse.ArgumentParser:
     """The parser with all its sub-commands."""
+    import argparse
+    from importlib import import_module
+
     top = argparse.ArgumentParser(
         prog="jaxalign",
         description="Initial alignment of strapdown inertial navigation systems: the attitude of a vehicle that has "
@@ -29,11 +31,23 @@ def parser() -> argparse.ArgumentParser:
     )
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in _COMMANDS:
-        importlib.import_module(f"jaxalign.cli.{name}").add(commands)
+        import_module(f"jaxalign.cli.{name}").add(commands)
     return top
 
 
-def _require_device(jax: ModuleType) -> None:
+def _prepare(options: argparse.Namespace, own_process: bool) -> None:
+    """JAX for a command that needs it: how, on which devices; before anything of it runs."""
+    import jax
+
+    from jaxalign.errors import UserError
+
+    jax.config.update("jax_enable_x64", True)  # an application may; the library itself never does
+    if own_process:
+        from jaxalign.compilation import configure
+
+        configure()
+    if hasattr(options, "devices"):
+        options.devices(options)
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
@@ -43,25 +57,33 @@ def _require_device(jax: ModuleType) -> None:
 
 def _left(code: int) -> int:
     """The exit code; one of several processes goes at once: JAX would first wait for the others, and they for it."""
-    import jax
-
-    if jax.distributed.is_initialized():
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+    jax: Any = sys.modules.get("jax")
+    if jax is not None and jax.distributed.is_initialized():
+        _go(code)
     return code
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit code."""
-    import jax
+def _go(code: int) -> None:
+    """End at once, whatever other threads do."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
-    jax.config.update("jax_enable_x64", True)  # an application may; the library itself never does
+
+def main(arguments: Sequence[str] | None = None, own_process: bool = False) -> int:
+    """Run one command; return the exit code.
+
+    Args:
+        arguments: of the command line; None: of the process.
+        own_process: whether the process is there for it alone, so that its settings may be changed
+            (:func:`jaxalign.compilation.configure`).
+    """
+    from jaxalign.errors import UserError
+
     options = parser().parse_args(arguments)
     try:
-        if hasattr(options, "devices"):
-            options.devices(options)
-        _require_device(jax)
+        if getattr(options, "needs_jax", True):
+            _prepare(options, own_process)
         code = options.run(options)
         sys.stdout.flush()
         return code
@@ -82,4 +104,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> None:
     """Console script."""
-    sys.exit(main())
+    import gc
+
+    from jaxalign.cli.interrupt import EXIT_CODE, guard
+
+    guard()
+    gc.set_threshold(100_000)  # nothing that is imported or traced becomes garbage: looking for it takes a tenth
+    code = main(own_process=True)
+    if code == EXIT_CODE:
+        _go(code)  # a study's threads would finish their blocks first
+    sys.exit(code)

@@ -31,7 +31,7 @@ PICTURES = (".png", ".pdf", ".svg")
 
 def add_log_arguments(command: argparse.ArgumentParser) -> None:
     """FILE and how to read it."""
-    from jaxalign.io import FORMATS
+    from jaxalign.io.formats import FORMATS
 
     command.add_argument("file", metavar="FILE", help="the log: .npz, PSINS .imu or .csv")
     command.add_argument("--format", choices=FORMATS, default="auto", help="of the log (default: auto)")

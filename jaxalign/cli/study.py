@@ -105,6 +105,7 @@ def _devices(options: argparse.Namespace) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from jaxalign.cli.interrupt import patience
     from jaxalign.cli.report import assignments, chosen_scenario, split_settings, table
     from jaxalign.study import Interrupted, Study, devices, run
 
@@ -142,7 +143,8 @@ def _run(options: argparse.Namespace) -> int:
         print(f"jaxalign: warning: {line}", file=sys.stderr)
 
     try:
-        result = run(study, out=options.out, resume=options.resume, chunk=options.chunk, progress=True, warn=warn)
+        with patience():
+            result = run(study, out=options.out, resume=options.resume, chunk=options.chunk, progress=True, warn=warn)
     except Interrupted as error:
         if error.result is not None and devices.is_first():
             _print(error.result, table)

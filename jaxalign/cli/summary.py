@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxalign.batch import RobustMap
@@ -247,6 +248,7 @@ def summary(
         aligned: threshold of the heading's standard deviation, deg.
         reasons: why the method was chosen.
     """
+    solution = jax.device_get(solution)  # a row of an array on a device is a program to be compiled
     interval = (_slot(method, "interval_samples") or log.aid_every) * log.dt
     kind, noise = "white noise of the aid", float(solution.aid_sd[-1])
     if method.aid == "static":

@@ -89,6 +89,7 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from jaxalign.cli.interrupt import patience
     from jaxalign.cli.report import assignments, check_outputs, chosen_scenario, split_settings, table
     from jaxalign.io.files import replacing
     from jaxalign.tune import Tune, run
@@ -125,7 +126,8 @@ def _run(options: argparse.Namespace) -> int:
     def warn(line: str) -> None:
         print(f"jaxalign: warning: {line}", file=sys.stderr)
 
-    tuned = run(tune, progress=True, warn=warn)
+    with patience():
+        tuned = run(tune, progress=True, warn=warn)
     written = []
     if options.output:
         tuned.write(options.output)

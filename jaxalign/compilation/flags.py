@@ -14,9 +14,9 @@ _BYTES = 100_000_000
 def add_fast_loops() -> None:
     """Have XLA turn a loop over less than 100 MB into one call on a CPU: a scan over epochs then costs a sixth.
 
-    It goes into ``XLA_FLAGS``, which XLA reads when it starts. A value that is there stays. XLA aborts on a flag that it
-    does not know; this one has always been there, and names of options within it that begin with ``xla_`` are ignored
-    where they mean nothing.
+    It goes into ``XLA_FLAGS``, which XLA reads when it starts. A value that is there stays. XLA aborts on a flag that
+    it does not know; this one has always been there, and what follows it and begins with ``xla_`` is ignored where it
+    means nothing.
     """
     given = os.environ.get("XLA_FLAGS", "").split()
     if any(_LOOPS in flag for flag in given):

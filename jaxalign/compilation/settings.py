@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import warnings
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,11 @@ def configure(cache: str | os.PathLike[str] | None = None, *, fast_loops: bool =
     It changes settings of JAX and ``XLA_FLAGS`` for the whole process and its children: call it in a program, not in a
     library, and before JAX runs anything. Calling it again is harmless.
 
-    The store is bounded (512 MB, the longest unused goes first), safe with several processes at once, and for this user
-    alone: who writes there could run code as the user, so a folder that others may write to is not used. Programs are
-    kept apart by processor, XLA flags and versions of JAX. On a kind of machine that is new, a process of a second beside
-    this one finds out whether stored programs can be loaded there at all; until it is known they are written only, and
-    where they cannot, nothing is kept.
+    The store is bounded (512 MB, the longest unused goes first), safe with several processes at once, and for this
+    user alone: who writes there could run code as the user, so a folder that others may write to is not used. Programs
+    are kept apart by processor, XLA flags and versions of JAX. On a kind of machine that is new, a process of a second
+    beside this one finds out whether stored programs can be loaded there at all; until it is known they are written
+    only, and where they cannot, nothing is kept.
 
     Args:
         cache: folder of the store; None: what the environment variable ``JAXALIGN_CACHE`` says (``off`` or a folder),
@@ -45,7 +46,8 @@ def configure(cache: str | os.PathLike[str] | None = None, *, fast_loops: bool =
     global _kept
     if fast_loops and not _started():
         add_fast_loops()
-    if jax.config.jax_compilation_cache_dir not in (None, str(_kept)):
+    given = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if given not in (None, str(_kept)):
         return None
     root = folder.chosen() if cache is None else Path(cache)
     if root is None:
@@ -72,10 +74,7 @@ def reloads() -> bool | None:
 
 
 def _subfolder() -> str:
-    import jax
-    import jaxlib
-
-    return folder.subfolder(jax.__version__, jaxlib.__version__)
+    return folder.subfolder(version("jax"), version("jaxlib"))
 
 
 def _started() -> bool:

@@ -1,13 +1,20 @@
 """Slot: weighted pairs to an attitude."""
 
-from jaxalign.estimate.base import AbstractEstimate, Readout
-from jaxalign.estimate.davenport import davenport
-from jaxalign.estimate.profile import CentredSums
-from jaxalign.estimate.qmethod import CentredWahba, QMethod
-from jaxalign.estimate.quaternion_kf import QuaternionFilter
-from jaxalign.estimate.request import OptimalRequest, Request
-from jaxalign.estimate.revising import Held, RevisingWahba, reweighted
-from jaxalign.estimate.tvk import KMatrixFilter
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxalign.lazy import lazily
+
+if TYPE_CHECKING:
+    from jaxalign.estimate.base import AbstractEstimate, Readout
+    from jaxalign.estimate.davenport import davenport
+    from jaxalign.estimate.profile import CentredSums
+    from jaxalign.estimate.qmethod import CentredWahba, QMethod
+    from jaxalign.estimate.quaternion_kf import QuaternionFilter
+    from jaxalign.estimate.request import OptimalRequest, Request
+    from jaxalign.estimate.revising import Held, RevisingWahba, reweighted
+    from jaxalign.estimate.tvk import KMatrixFilter
 
 __all__ = [
     "AbstractEstimate",
@@ -24,3 +31,15 @@ __all__ = [
     "davenport",
     "reweighted",
 ]
+
+_HOMES = {
+    "base": "AbstractEstimate Readout",
+    "davenport": "davenport",
+    "profile": "CentredSums",
+    "qmethod": "CentredWahba QMethod",
+    "quaternion_kf": "QuaternionFilter",
+    "request": "OptimalRequest Request",
+    "revising": "Held RevisingWahba reweighted",
+    "tvk": "KMatrixFilter",
+}
+__getattr__, __dir__ = lazily(__name__, _HOMES)

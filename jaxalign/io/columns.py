@@ -44,9 +44,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxalign.earth import STANDARD_GRAVITY
 from jaxalign.errors import UserError, close_names
 from jaxalign.io.files import existing_file, first_line, read_text
+from jaxalign.wgs84 import STANDARD_GRAVITY
 
 __all__ = ["AidColumns", "ColumnMap", "column_map", "default_map", "nearest"]
 

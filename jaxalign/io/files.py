@@ -10,7 +10,10 @@ from typing import BinaryIO
 
 from jaxalign.errors import UserError
 
-__all__ = ["existing_file", "first_line", "read_text", "replacing"]
+__all__ = ["discard_parts", "existing_file", "first_line", "read_text", "replacing"]
+
+_parts: set[Path] = set()
+"""The files beside their places that are being written."""
 
 
 def first_line(error: Exception) -> str:
@@ -67,6 +70,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         stream = open(part, "xb")  # noqa: SIM115 - closed below, before the file is put in place
+        _parts.add(part)
     except OSError as error:
         why = "no such folder" if not path.parent.is_dir() else error.strerror or error
         raise UserError(f"{path}: cannot be written: {why}") from None
@@ -79,4 +83,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
             raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         with suppress(FileNotFoundError):
+            part.unlink()
+        _parts.discard(part)
+
+
+def discard_parts() -> None:
+    """Remove what is half-written, for a process that ends at once."""
+    for part in tuple(_parts):
+        with suppress(OSError):
             part.unlink()

@@ -1,7 +1,21 @@
 """Slot: a measured pair to a modelled one."""
 
-from jaxalign.reconstruct.apparent_velocity import ApparentVelocityFilter
-from jaxalign.reconstruct.base import AbstractReconstruct, Measured
-from jaxalign.reconstruct.rls import Rls
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxalign.lazy import lazily
+
+if TYPE_CHECKING:
+    from jaxalign.reconstruct.apparent_velocity import ApparentVelocityFilter
+    from jaxalign.reconstruct.base import AbstractReconstruct, Measured
+    from jaxalign.reconstruct.rls import Rls
 
 __all__ = ["AbstractReconstruct", "ApparentVelocityFilter", "Measured", "Rls"]
+
+_HOMES = {
+    "apparent_velocity": "ApparentVelocityFilter",
+    "base": "AbstractReconstruct Measured",
+    "rls": "Rls",
+}
+__getattr__, __dir__ = lazily(__name__, _HOMES)

@@ -9,37 +9,44 @@
 A new motion is a `Trajectory` of signals; a new fault of the aid is a module ``(key, t, error) -> error``.
 """
 
-from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs, sample_epochs
-from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
-from jaxalign.simulate.file import scenario_file
-from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
-from jaxalign.simulate.measurement import (
-    Scenario,
-    aid_velocity,
-    imu_increments,
-    log_of,
-    measure,
-    noiseless,
-    truth,
-)
-from jaxalign.simulate.motions import (
-    accelerate_and_turn,
-    s_turn,
-    static_base,
-    sway_underway,
-    swaying_base,
-    zigzag,
-)
-from jaxalign.simulate.named import scenario, scenario_options, scenarios, simulate
-from jaxalign.simulate.sensors import SineForce, TriadErrors, accel_errors, gyro_errors
-from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps, Sum
-from jaxalign.simulate.trajectory import (
-    AbstractVelocity,
-    BodyVelocity,
-    CourseVelocity,
-    NavVelocity,
-    Trajectory,
-)
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxalign.lazy import lazily
+
+if TYPE_CHECKING:
+    from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs, sample_epochs
+    from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+    from jaxalign.simulate.file import scenario_file
+    from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
+    from jaxalign.simulate.measurement import (
+        Scenario,
+        aid_velocity,
+        imu_increments,
+        log_of,
+        measure,
+        noiseless,
+        truth,
+    )
+    from jaxalign.simulate.motions import (
+        accelerate_and_turn,
+        s_turn,
+        static_base,
+        sway_underway,
+        swaying_base,
+        zigzag,
+    )
+    from jaxalign.simulate.named import scenario, scenario_options, scenarios, simulate
+    from jaxalign.simulate.sensors import SineForce, TriadErrors, accel_errors, gyro_errors
+    from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps, Sum
+    from jaxalign.simulate.trajectory import (
+        AbstractVelocity,
+        BodyVelocity,
+        CourseVelocity,
+        NavVelocity,
+        Trajectory,
+    )
 
 __all__ = [
     "AbstractFault",
@@ -89,3 +96,17 @@ __all__ = [
     "turn_rate",
     "zigzag",
 ]
+
+_HOMES = {
+    "aggregate": "Intervals intervals_of measure_epochs sample_epochs",
+    "faults": "AbstractFault FixedOutliers Gap JumpOutliers SegmentOutliers",
+    "file": "scenario_file",
+    "imu": "Truth exact_increments specific_force turn_rate",
+    "measurement": "Scenario aid_velocity imu_increments log_of measure noiseless truth",
+    "motions": "accelerate_and_turn s_turn static_base sway_underway swaying_base zigzag",
+    "named": "scenario scenario_options scenarios simulate",
+    "sensors": "SineForce TriadErrors accel_errors gyro_errors",
+    "signals": "AbstractSignal Constant Ramps Sines Steps Sum",
+    "trajectory": "AbstractVelocity BodyVelocity CourseVelocity NavVelocity Trajectory",
+}
+__getattr__, __dir__ = lazily(__name__, _HOMES)

@@ -7,9 +7,24 @@ The result is the same, to the last bit, for any chunk, any number of devices or
 interruption.
 """
 
-from jaxalign.study.engine import Interrupted, run
-from jaxalign.study.result import Result
-from jaxalign.study.settings import Study
-from jaxalign.study.statistics import AXES, PERCENTILES, Estimate, MethodStatistics
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxalign.lazy import lazily
+
+if TYPE_CHECKING:
+    from jaxalign.study.engine import Interrupted, run
+    from jaxalign.study.result import Result
+    from jaxalign.study.settings import Study
+    from jaxalign.study.statistics import AXES, PERCENTILES, Estimate, MethodStatistics
 
 __all__ = ["AXES", "PERCENTILES", "Estimate", "Interrupted", "MethodStatistics", "Result", "Study", "run"]
+
+_HOMES = {
+    "engine": "Interrupted run",
+    "result": "Result",
+    "settings": "Study",
+    "statistics": "AXES PERCENTILES Estimate MethodStatistics",
+}
+__getattr__, __dir__ = lazily(__name__, _HOMES)

@@ -1,20 +1,27 @@
 """Tuning: any number of a method, by gradient descent through simulation, alignment and score."""
 
-from jaxalign.tune.engine import Prepared, prepared, run
-from jaxalign.tune.losses import (
-    ANGLES,
-    LOSSES,
-    AbstractLoss,
-    Convergence,
-    LogRmse,
-    Misfit,
-    Quantile,
-    Rmse,
-    RunErrors,
-)
-from jaxalign.tune.result import History, Tuned
-from jaxalign.tune.settings import Tune
-from jaxalign.tune.space import Space, space_of
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxalign.lazy import lazily
+
+if TYPE_CHECKING:
+    from jaxalign.tune.engine import Prepared, prepared, run
+    from jaxalign.tune.losses import (
+        ANGLES,
+        LOSSES,
+        AbstractLoss,
+        Convergence,
+        LogRmse,
+        Misfit,
+        Quantile,
+        Rmse,
+        RunErrors,
+    )
+    from jaxalign.tune.result import History, Tuned
+    from jaxalign.tune.settings import Tune
+    from jaxalign.tune.space import Space, space_of
 
 __all__ = [
     "ANGLES",
@@ -35,3 +42,12 @@ __all__ = [
     "run",
     "space_of",
 ]
+
+_HOMES = {
+    "engine": "Prepared prepared run",
+    "losses": "ANGLES LOSSES AbstractLoss Convergence LogRmse Misfit Quantile Rmse RunErrors",
+    "result": "History Tuned",
+    "settings": "Tune",
+    "space": "Space space_of",
+}
+__getattr__, __dir__ = lazily(__name__, _HOMES)
