@@ -129,9 +129,10 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
         fitted = not isinstance(getattr(method, "reconstruct", Measured()), Measured)
         note = " (of reconstructed vectors: they hide outliers and biases)" if fitted else ""
         out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s{note}")
-    if solution.sd is not None and solution.filter is not None and solution.defined[-1]:
+    if solution.covariance is not None and solution.filter is not None and solution.defined[-1]:
         if not batch:
-            out += _belief(solution.sd, solution.filter, getattr(method, "prefilter", None) is not None)
+            sd = np.sqrt(np.diagonal(solution.covariance, axis1=1, axis2=2))
+            out += _belief(sd, solution.filter, getattr(method, "prefilter", None) is not None)
         out += _found(solution.filter, getattr(method, "unknown", {}))
     if method.aid != "static" and log.missing.any():
         out.append(f"aid missing at {int(log.missing.sum())} of {log.epochs + 1} of its epochs: skipped and bridged")
