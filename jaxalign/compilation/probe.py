@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 __all__ = ["accepted", "begin", "verdict"]
@@ -35,11 +36,12 @@ def begin(folder: Path) -> threading.Thread | None:
     command = [sys.executable, "-P", __file__, str(folder)]
 
     def wait() -> None:
-        with tempfile.TemporaryFile() as nowhere:  # a session of its own: Ctrl-C is not for it
+        nowhere = subprocess.DEVNULL
+        with suppress(OSError):  # a session of its own: Ctrl-C is not for it
             subprocess.run(
                 command,
                 env={**environment, "JAX_PLATFORMS": "cpu"},
-                stdin=subprocess.DEVNULL,
+                stdin=nowhere,
                 stdout=nowhere,
                 stderr=nowhere,
                 start_new_session=True,
@@ -50,8 +52,8 @@ def begin(folder: Path) -> threading.Thread | None:
     return thread
 
 
-def accepted() -> bool:
-    """Store a small program and load it again; standard error is gone after it."""
+def accepted() -> bool | None:
+    """Store a small program and load it again; None: it could not be stored. Standard error is gone after it."""
     import jax
 
     events: list[str] = []
@@ -64,9 +66,12 @@ def accepted() -> bool:
         for _ in range(2):
             jax.jit(lambda x: 2.0 * x + 1.0).lower(1.0).compile()
             jax.clear_caches()
+        if not os.listdir(folder):
+            return None
         said.seek(0)
         return _HIT in events and b"machine" not in said.read().lower()
 
 
 if __name__ == "__main__":
-    (Path(sys.argv[1]) / ("accepted" if accepted() else "rejected")).touch()
+    if (found := accepted()) is not None:
+        (Path(sys.argv[1]) / ("accepted" if found else "rejected")).touch()
