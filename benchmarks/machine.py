@@ -12,7 +12,11 @@ from typing import Any
 
 import jax
 
+from jaxalign.compilation import configure
+
 __all__ = ["best_ms", "machine", "peak_gb"]
+
+configure(cache=False)  # loops as the command line has them, but programs compiled anew: some measure that
 
 
 def machine() -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from experiments.page import Page
-from jaxalign import UserError, plots
+from jaxalign import UserError, compilation, plots
+from jaxalign.cli.interrupt import guard
 
 __all__ = ["run"]
 
@@ -68,6 +69,9 @@ def run(
         parser.error(f"argument --out: {out} holds the results of the full run; give another folder for --quick")
     if out.exists() and not out.is_dir():
         parser.error(f"argument --out: {out} is not a folder")
+    if arguments is None:  # the process is there for it alone
+        guard()
+        compilation.configure()
     try:
         plots.require()
         page = study(options.runs or (QUICK_RUNS if options.quick else runs), options.seed)

@@ -8,7 +8,7 @@ import sys
 import warnings
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jaxalign.compilation import folder, probe
 from jaxalign.compilation.flags import add_fast_loops
@@ -19,7 +19,7 @@ _LOG = logging.getLogger("jaxalign")
 _kept: Path | None = None
 
 
-def configure(cache: str | os.PathLike[str] | None = None, *, fast_loops: bool = True) -> Path | None:
+def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, fast_loops: bool = True) -> Path | None:
     """Keep compiled programs on disk between processes, and have XLA run small loops as one call on a CPU.
 
     It changes settings of JAX and ``XLA_FLAGS`` for the whole process and its children: call it in a program, not in a
@@ -33,7 +33,8 @@ def configure(cache: str | os.PathLike[str] | None = None, *, fast_loops: bool =
 
     Args:
         cache: folder of the store; None: what the environment variable ``JAXALIGN_CACHE`` says (``off`` or a folder),
-            else ``jaxalign`` in the user's cache folder. A store that JAX has been given already is left alone.
+            else ``jaxalign`` in the user's cache folder; False: none. A store that JAX has been given already is left
+            alone.
         fast_loops: whether to set the flag of the loops; without effect where JAX has run already, or the user has set
             it. It changes results in the last bits.
 
@@ -46,6 +47,8 @@ def configure(cache: str | os.PathLike[str] | None = None, *, fast_loops: bool =
     global _kept
     if fast_loops and not _started():
         add_fast_loops()
+    if cache is False:
+        return None
     given = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if given not in (None, str(_kept)):
         return None
