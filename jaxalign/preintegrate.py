@@ -25,16 +25,17 @@ Schemes, with th, dv the increments of a sample and V(th) = I + (1 - cos|th|)/|t
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
-__all__ = ["Increment", "Scheme", "integrated", "preintegrate"]
+__all__ = ["Increment", "Scheme", "integrated", "paired", "preintegrate"]
 
 Scheme = Literal["pairs", "pairs_series", "lookback", "interval", "interval_plain"]
 
@@ -71,10 +72,10 @@ def _mean_rotated_series(rotvec: Vec3, v: Vec3) -> Vec3:
     return v + turned * 0.5 + rotvec.cross(turned) * (1 / 6)
 
 
-def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated) -> Increment:
+def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated, terms: int = 14) -> Increment:
     total = th1 + th2
     dvel = turned(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
-    return Increment(Quat.turn(total + th1.cross(th2) * (2 / 3)), dvel)
+    return Increment(Quat.turn(total + th1.cross(th2) * (2 / 3), terms=terms), dvel)
 
 
 def _plain_pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
@@ -89,23 +90,56 @@ def _single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
     return Increment(Quat.turn(th + th_.cross(th) * (1 / 12)), dvel)
 
 
+class _Packed(eqx.Module):
+    """Increments as complex numbers: XLA's CPU kernels have one output each, and work out anew what others need too."""
+
+    wx: Complex[Array, " *n"]
+    yz: Complex[Array, " *n"]
+    right_forward: Complex[Array, " *n"]
+    up: Float[Array, " *n"]
+
+    @classmethod
+    def of(cls, samples: Increment) -> _Packed:
+        q, v = samples.rotation, samples.dvel
+        return cls(jax.lax.complex(q.w, q.x), jax.lax.complex(q.y, q.z), jax.lax.complex(v.x, v.y), v.z)
+
+    @property
+    def increments(self) -> Increment:
+        dvel = Vec3(self.right_forward.real, self.right_forward.imag, self.up)
+        return Increment(Quat(self.wx.real, self.wx.imag, self.yz.real, self.yz.imag), dvel)
+
+
 def _compose(samples: Increment) -> Increment:
     """Compose along the first axis; the others are lanes. In two stages: first pieces of it, side by side."""
     count = samples.rotation.w.shape[0]
     length = max(1, math.isqrt(count))
     pieces = count // length
+    packed = _Packed.of(samples)
     whole, rest = (
-        jax.tree.map(lambda x, i=i: x[i], samples) for i in (slice(pieces * length), slice(pieces * length, None))
+        jax.tree.map(lambda x, i=i: x[i], packed) for i in (slice(pieces * length), slice(pieces * length, None))
     )
     split = jax.tree.map(lambda x: x.reshape(pieces, length, *x.shape[1:]).swapaxes(0, 1), whole)
-    parts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), _composed(split), rest)
+    parts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), _Packed.of(_composed(split)), rest)
     total = _composed(parts)
     return Increment(total.rotation.unit(), total.dvel)
 
 
-def _composed(samples: Increment) -> Increment:
+def _composed(samples: _Packed) -> Increment:
     first, later = (jax.tree.map(lambda x, i=i: x[i], samples) for i in (0, slice(1, None)))
-    return jax.lax.scan(lambda carry, x: (carry @ x, None), first, later)[0]
+    return jax.lax.scan(lambda carry, x: (carry @ x.increments, None), first.increments, later)[0]
+
+
+def paired(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, terms: int = 14) -> Increment:
+    """The increment of one interval from pairs of samples (first axis; the others are lanes).
+
+    Args:
+        th1: rotation increments of the first samples, rad.
+        dv1: their velocity increments, m/s.
+        th2: rotation increments of the second samples, rad.
+        dv2: their velocity increments, m/s.
+        terms: of the series of a turn; eight are exact to rounding for pairs that turn by less than a radian.
+    """
+    return _compose(_pair(th1, dv1, th2, dv2, partial(mean_rotated, terms=terms), terms))
 
 
 def integrated(th: Vec3, dv: Vec3, turned: Any = mean_rotated) -> Increment:

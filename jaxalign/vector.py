@@ -138,11 +138,14 @@ def _alternating(x: Any, first: int, terms: int = 14) -> Any:
     return total
 
 
-def mean_rotated(rotvec: Vec3, v: Vec3) -> Vec3:
-    """The mean of ``exp([r x]) v`` as r goes evenly from zero to ``rotvec`` (rad; at most half a turn)."""
+def mean_rotated(rotvec: Vec3, v: Vec3, terms: int = 14) -> Vec3:
+    """The mean of ``exp([r x]) v`` as r goes evenly from zero to ``rotvec`` (rad; at most half a turn).
+
+    Eight terms are exact to rounding up to a radian.
+    """
     angle2 = rotvec.norm2()
     turned = rotvec.cross(v)
-    return v + turned * _alternating(angle2, 2) + rotvec.cross(turned) * _alternating(angle2, 3)
+    return v + turned * _alternating(angle2, 2, terms) + rotvec.cross(turned) * _alternating(angle2, 3, terms)
 
 
 @jax.tree_util.register_dataclass
@@ -177,15 +180,16 @@ class Quat:
         return cls(w, rotvec.x * scale, rotvec.y * scale, rotvec.z * scale)
 
     @classmethod
-    def turn(cls, rotvec: Vec3, slow: bool = False) -> Quat:
+    def turn(cls, rotvec: Vec3, slow: bool = False, terms: int = 14) -> Quat:
         """:meth:`exp` of at most one turn, several times faster: for increments.
 
         Args:
             rotvec: rad.
             slow: it is below 0.05 rad, as the Earth turns in ten minutes: fewer terms.
+            terms: of the series; eight are exact to rounding up to a radian.
         """
         half = rotvec * 0.5
-        square, terms = half.norm2(), 4 if slow else 14
+        square, terms = half.norm2(), 4 if slow else terms
         scale = _alternating(square, 1, terms)
         return cls(_alternating(square, 0, terms), half.x * scale, half.y * scale, half.z * scale)
 

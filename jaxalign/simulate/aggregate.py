@@ -22,15 +22,16 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.epochs import Epoch, Epochs
 from jaxalign.errors import UserError
-from jaxalign.preintegrate import Increment, integrated, preintegrate
+from jaxalign.preintegrate import Increment, integrated, paired, preintegrate
 from jaxalign.simulate.imu import Truth
 from jaxalign.simulate.measurement import Scenario, aid_velocity, source_keys
-from jaxalign.simulate.random import each, fold, normals, slab
+from jaxalign.simulate.random import blocks, each, fold, normals
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["Intervals", "intervals_of", "measure_epochs", "sample_epochs"]
 
-_PIECE = 48  # samples of an interval that are measured at a time
+_PIECE = 24  # pairs of samples whose noise is drawn at a time
+_LEAST_HZ = 50.0  # from here on two samples turn by less than a radian, at 1400 deg/s
 
 
 class Intervals(eqx.Module):
@@ -140,34 +141,50 @@ def sample_epochs(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: 
     """
     if scenario.force is not None:
         raise UserError("a disturbed base is measured sample by sample: use measure")
-    count, dt, runs = truth.dtheta.shape[0] // samples, truth.dt, key.shape
+    count, dt = truth.dtheta.shape[0] // samples, truth.dt
     sources = []
     for errors, source in zip((scenario.gyro, scenario.accel), source_keys(key), strict=False):
         halves = [each(lambda k, i=i: jax.random.key_data(jax.random.split(k)[i]), source) for i in (0, 1)]
         bias_key, noise_key = (jax.random.wrap_key_data(jnp.moveaxis(x, 0, -1)) for x in halves)
         sources.append((each(errors.draw_bias, bias_key) * dt, noise_key, errors.increment_sd(dt)))
 
-    piece = max(d for d in range(1, min(samples, _PIECE) + 1) if samples % d == 0)
+    terms = 8 if scenario.imu_rate >= _LEAST_HZ else 14
 
     def interval(row: tuple[Array, Array, Array]) -> Increment:
         start, *exact = row
-        starts = start + 3 * piece * jnp.arange(samples // piece, dtype=jnp.uint32)
-
-        def measured(row: tuple[Array, Array, Array]) -> list[Array]:  # a piece at a time: a loop holds what it makes
-            start, *exact = row
-            out = []
-            for perfect, (bias, noise_key, sd) in zip(exact, sources, strict=True):
-                noise = slab(noise_key, piece, 3, start).astype(jnp.float64).reshape(piece, 3, *runs)
-                out.append(perfect.reshape(piece, 3, *(1 for _ in runs)) + bias + noise * sd)
-            return out
-
-        pieces = (x.reshape(-1, piece, 3) for x in exact)
-        spread = (x.reshape(samples, 3, *runs) for x in jax.lax.map(measured, (starts, *pieces)))
-        return integrated(*(Vec3(x[:, 0], x[:, 1], x[:, 2]) for x in spread))
+        if samples % 2:
+            return integrated(*(_measured(x, *source, start) for x, source in zip(exact, sources, strict=True)))
+        th, dv = (_measured_pairs(x, *source, start // 2) for x, source in zip(exact, sources, strict=True))
+        return paired(th[0], dv[0], th[1], dv[1], terms)
 
     rows = (x[: count * samples].reshape(count, samples, 3) for x in (truth.dtheta, truth.dvel))
     starts = 3 * samples * jnp.arange(count, dtype=jnp.uint32)
     return _epochs(jax.lax.map(interval, (starts, *rows)), truth, scenario, key, samples)
+
+
+def _measured(exact: Array, bias: Array, key: PRNGKeyArray, sd: Any, start: Array) -> Vec3:
+    """Samples (samples, 3) of an interval with their errors; `start`: the first number of their noise."""
+    z = normals(key, exact.size, start).astype(jnp.float64).reshape(*exact.shape, *key.shape)
+    return _spoiled(exact, bias, (z[:, 0], z[:, 1], z[:, 2]), sd)
+
+
+def _measured_pairs(exact: Array, bias: Array, key: PRNGKeyArray, sd: Any, start: Array) -> tuple[Vec3, Vec3]:
+    """The same numbers as first and second samples of pairs, whose noise is three blocks; `start`: of the first."""
+    pairs = len(exact) // 2
+    piece = max(d for d in range(1, min(max(pairs // 2, 1), _PIECE) + 1) if pairs % d == 0)
+    starts = start + 3 * piece * jnp.arange(pairs // piece, dtype=jnp.uint32)
+    z = jax.lax.map(lambda at: blocks(key, 3 * piece, at), starts).reshape(pairs, 3, *key.shape)
+    one, two = z.real, z.imag
+    return (
+        _spoiled(exact[0::2], bias, (one[:, 0], two[:, 0], one[:, 1]), sd),
+        _spoiled(exact[1::2], bias, (two[:, 1], one[:, 2], two[:, 2]), sd),
+    )
+
+
+def _spoiled(exact: Array, bias: Array, noise: tuple[Array, Array, Array], sd: Any) -> Vec3:
+    """Samples (n, 3) plus bias and white noise of each run: components (n, *runs)."""
+    runs = bias.shape[1:]
+    return Vec3(*(exact[:, i].reshape(-1, *(1 for _ in runs)) + bias[i] + noise[i] * sd for i in range(3)))
 
 
 def _epochs(moved: Increment, truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: int) -> Epochs:
