@@ -142,7 +142,7 @@ def sample_epochs(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: 
     if scenario.force is not None:
         raise UserError("a disturbed base is measured sample by sample: use measure")
     count, dt = truth.dtheta.shape[0] // samples, truth.dt
-    sources = []
+    sources: list[tuple[Array, PRNGKeyArray, Any]] = []
     for errors, source in zip((scenario.gyro, scenario.accel), source_keys(key), strict=False):
         halves = [each(lambda k, i=i: jax.random.key_data(jax.random.split(k)[i]), source) for i in (0, 1)]
         bias_key, noise_key = (jax.random.wrap_key_data(jnp.moveaxis(x, 0, -1)) for x in halves)

@@ -20,7 +20,10 @@ from jaxtyping import Array, Complex64, Float, PRNGKeyArray
 
 from jaxalign.errors import UserError
 
-__all__ = ["blocks", "each", "fold", "normals"]
+__all__ = ["DRAW", "blocks", "each", "fold", "normals"]
+
+DRAW = "threefry2x32, Box-Muller"
+"""How the numbers of a key come about: part of the settings of a study, for other ones are other runs."""
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _PART, _PARTS = 1 << 12, 4  # blocks of a part, all keys together, which stay in the cache; and least number of parts

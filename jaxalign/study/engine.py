@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,13 +59,26 @@ class _Job(NamedTuple):
     judge: tuple[np.ndarray, np.ndarray, np.float64]
 
 
-@eqx.filter_jit
+_WIDE = {"xla_cpu_prefer_vector_width": 512}  # XLA's own choice is half of it; what the processor lacks it leaves alone
+
+
+def _compiled(f: Callable[..., Any]) -> Callable[..., Any]:
+    """A program for blocks of runs."""
+    options: dict[str, Any] = {"compiler_options": _WIDE} if jax.default_backend() == "cpu" else {}
+    return eqx.filter_jit(f, **options)
+
+
+@cache
+def _programs() -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """`_draw` and `_reduce`, compiled; not on import, which must not start JAX."""
+    return _compiled(_draw), _compiled(_reduce)
+
+
 def _draw(world: World, seed: jax.Array, numbers: jax.Array) -> Epochs:
     """Epochs of a block of runs."""
     return world.epochs(run_keys(seed, numbers))
 
 
-@eqx.filter_jit
 def _reduce(method: Any, epochs: Epochs, exact: Truth, where: Rows, judge: Any, counted: jax.Array) -> Tally:
     """Align and tally a block of runs."""
     return tally(errors_of(method, epochs, exact, where), counted, *judge)
@@ -112,12 +126,13 @@ class _Worker:
         numbers = block * self.study.block + np.arange(self.study.block)
         counted = devices.placed(numbers < self.study.runs, self.device)
         placed = devices.placed(numbers, self.device)
+        draw, reduce = _programs()
         drawn: dict[str, Epochs] = {}
         out = {}
         for job in self.jobs:
             if job.feed not in drawn:
-                drawn[job.feed] = _draw(job.world, self.seed, placed)
-            out[job.label] = _reduce(job.method, drawn[job.feed], job.world.exact, job.where, job.judge, counted)
+                drawn[job.feed] = draw(job.world, self.seed, placed)
+            out[job.label] = reduce(job.method, drawn[job.feed], job.world.exact, job.where, job.judge, counted)
         return jax.tree.map(np.asarray, out)
 
 
@@ -245,7 +260,9 @@ def run(
             done[blocks] = True
     done = devices.agreed(done)
 
-    workers = [_Worker(study, jobs, device) for device in here]
+    plan = list(_chunks(done, per_chunk))
+    most = max((-(-blocks // jax.process_count()) for _, blocks in plan), default=0)  # of a process at once
+    workers = [_Worker(study, jobs, device) for device in here[:most]]
     bar = _bar(progress and speaks, study.runs, min(int(done.sum()) * study.block, study.runs))
     pool = ThreadPoolExecutor(len(here))
 
@@ -253,7 +270,6 @@ def run(
         own = range(first + jax.process_index(), first + blocks, jax.process_count()) or range(first, first + 1)
         return [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
 
-    plan = list(_chunks(done, per_chunk))
     waiting = [begin(*plan[0])] if plan else []
     try:
         for i, (first, blocks) in enumerate(plan):
@@ -291,6 +307,8 @@ def _agree_on(study: Study, *how: int) -> None:
     Raises:
         UserError: they do not.
     """
+    if jax.process_count() == 1:
+        return
     text = json.dumps([study.settings, *how], sort_keys=True)
     mine = np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8)
     if any(not np.array_equal(mine, other) for other in devices.everyone(mine)):

@@ -22,6 +22,7 @@ __all__ = ["FIDELITIES", "Feed", "Fidelity", "World", "feed_of", "run_axes", "ru
 Fidelity = Literal["increments", "samples"]
 FIDELITIES = ("increments", "samples")
 _LEAST_SD = 1e-6  # m/s, of a perfect aid: methods divide by it
+_FEW = 4  # runs that go one by one, their intervals side by side
 _INTEGRATED_LANES, _FILTERED_LANES = 64, 8  # runs side by side at IMU rate: an interval of each, or all 3 MB
 
 
@@ -100,7 +101,8 @@ def run_axes(epochs: Epochs) -> Epochs:
 def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Epochs:
     """A few runs at a time, whose samples fit into the cache (or, where they are filtered, into memory)."""
     whole = feed.prefilter is None and made.force is None and feed.samples > 1
-    most = _INTEGRATED_LANES if whole else _FILTERED_LANES
+    whole = whole and len(keys) > _FEW
+    most = (_INTEGRATED_LANES if whole else _FILTERED_LANES) if len(keys) > _FEW else 1
     lanes = max(n for n in range(1, min(most, len(keys)) + 1) if len(keys) % n == 0)
     groups = keys.reshape(-1, lanes)
 
@@ -141,6 +143,16 @@ def _sampled_run(exact: Truth, made: Scenario, feed: Feed, key: PRNGKeyArray) ->
     )
 
 
+_known: list[tuple[Truth, Intervals]] = []
+
+
+def _intervals(exact: Truth, samples: int) -> Intervals:
+    """A truth preintegrated; the last one is kept, as the truth itself is."""
+    if not (_known and _known[0][0] is exact and _known[0][1].samples == samples):
+        _known[:] = [(exact, intervals_of(exact, samples))]
+    return _known[0][1]
+
+
 _first = eqx.filter_jit(lambda world, keys: world.epochs(keys))
 
 
@@ -170,7 +182,7 @@ def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity,
         what = "a prefilter looks" if feed.prefilter is not None else "a disturbance of the base acts"
         raise UserError(f"{what} at single IMU samples: choose the fidelity 'samples' (--fidelity samples)")
     made = dataclasses.replace(made, aid=feed.aid)  # a standing vehicle has no use for its aid
-    intervals = intervals_of(exact, feed.samples) if fidelity == "increments" else None
+    intervals = _intervals(exact, feed.samples) if fidelity == "increments" else None
     world = World(made, exact, feed, intervals, made.aid_sd)
     if feed.aid != "static" and float(made.aid_sd) > 0:
         return world

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -16,11 +17,13 @@ from jaxalign.errors import UserError
 from jaxalign.methods import build
 from jaxalign.precision import require_x64
 from jaxalign.simulate import Scenario, scenario
+from jaxalign.simulate.random import DRAW
 from jaxalign.study.feed import FIDELITIES, Fidelity
 
 __all__ = ["Study", "described", "whole"]
 
 _LAST_S = 50.0
+_version = cache(metadata.version)
 
 
 @dataclass(frozen=True)
@@ -90,17 +93,19 @@ class Study:
         a_run = 8 * (20 * made.epochs + 30 * (made.epochs // self.every + 1))  # bytes: what is drawn, what is read out
         fits = 1 << max(4, int(memory // a_run).bit_length() - 1)
         quarter = -(-self.runs // 4)  # a few blocks, for a few devices
-        return min(most, fits, max(16, 1 << (quarter - 1).bit_length()))
+        few = min(16, 1 << (self.runs - 1).bit_length())
+        return min(most, fits, max(few, 1 << (quarter - 1).bit_length()))
 
     @property
     def settings(self) -> dict[str, Any]:
         """All that decides the numbers, JSON-ready."""
         made = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return {
-            "jaxalign": metadata.version("jaxalign"),
-            "jax": f"{jax.__version__}, jaxlib {metadata.version('jaxlib')}",
+            "jaxalign": _version("jaxalign"),
+            "jax": f"{jax.__version__}, jaxlib {_version('jaxlib')}",
             "device": jax.local_devices()[0].device_kind,
             "block": self.block,
+            "draw": DRAW,
             **described(made),
         }
 

@@ -3,11 +3,13 @@
     DIR/study.json              all that decides the numbers
     DIR/chunks/FIRST-LAST.npz   the blocks of these runs, whole or not there: written beside and renamed
 
+A chunk says which runs of which study it holds (a hash of the settings): copied elsewhere or renamed it is refused.
 A kill at any moment leaves the finished chunks, and perhaps a part of one that the next study removes.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -50,6 +52,7 @@ class Store:
             raise UserError(f"{folder} is not a folder: name another one for the study")
         path = self.folder / "study.json"
         wanted = json.loads(json.dumps(settings))
+        self._study = hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()
         if path.exists():
             if not resume:
                 raise UserError(f"{folder} holds a study already: go on with it (--resume), or name another folder")
@@ -86,14 +89,16 @@ class Store:
         arrays = {
             f"{i}.{field}": getattr(tallied, field) for i, tallied in enumerate(chunk.values()) for field in _FIELDS
         }
+        own = {"labels": np.array(list(chunk)), "study": np.array(self._study), "runs": np.array([first, stop - 1])}
         with replacing(self.chunks / f"{first:09d}-{stop - 1:09d}.npz") as stream:
-            np.savez_compressed(stream, labels=np.array(list(chunk)), **arrays)
+            np.savez_compressed(stream, **own, **arrays)
 
     def read(self) -> tuple[dict[tuple[int, int], Chunk], list[str]]:
         """The finished chunks by (first, stop), and a line on each file that was damaged, which is removed.
 
         Raises:
-            UserError: the folder cannot be read.
+            UserError: the folder cannot be read, or a chunk in it is of another study or of other runs than its name
+                says.
         """
         found, damaged = {}, []
         try:
@@ -105,19 +110,32 @@ class Store:
             if name is None:
                 continue
             try:
-                with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                    labels = [str(label) for label in file["labels"]]
-                    chunk = {
-                        label: Tally(**{field: file[f"{i}.{field}"] for field in _FIELDS})
-                        for i, label in enumerate(labels)
-                    }
+                study, runs, chunk = _read(path)
             except Exception as error:  # a flipped bit of a zip file raises a dozen kinds
                 damaged.append(f"{path} is damaged ({first_line(error)}): its runs are done again")
                 with suppress(OSError):
                     path.unlink()
                 continue
-            found[int(name[1]), int(name[2]) + 1] = chunk
+            if study != self._study:
+                raise UserError(f"{path}: of another study, with other settings: take it out of this folder")
+            if runs != (int(name[1]), int(name[2])):
+                raise UserError(
+                    f"{path}: holds the runs {runs[0]} to {runs[1]}, not those of its name: name it "
+                    f"{runs[0]:09d}-{runs[1]:09d}.npz, or take it out of this folder"
+                )
+            found[runs[0], runs[1] + 1] = chunk
         return found, damaged
+
+
+def _read(path: Path) -> tuple[str, tuple[int, int], Chunk]:
+    """Of a chunk: the hash of its study's settings, its first and its last run, and the tallies by label."""
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        first, last = (int(x) for x in file["runs"])
+        tallies = {
+            str(label): Tally(**{field: file[f"{i}.{field}"] for field in _FIELDS})
+            for i, label in enumerate(file["labels"])
+        }
+        return str(file["study"]), (first, last), tallies
 
 
 def _locked(path: Path) -> IO[bytes]:

@@ -65,7 +65,8 @@ def test_statistics_are_those_of_the_single_runs(result, errors):
         np.testing.assert_allclose(m.rmse.error, spread, rtol=1e-5)
         np.testing.assert_allclose(m.within.value, (abs(each) <= 20.0).mean(axis=0), atol=1e-12)
         np.testing.assert_allclose(m.end, each[:, -1], rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(m.window, np.sqrt((each[:, 3:] ** 2).mean(axis=1)), rtol=1e-7)
+        # The noise of another program may differ by the rounding of float32.
+        np.testing.assert_allclose(m.window, np.sqrt((each[:, 3:] ** 2).mean(axis=1)), rtol=2e-6)
         assert m.undefined.max() == m.failed.max() == 0
         for value, p in zip(m.percentiles.value, PERCENTILES, strict=True):
             # Within a bin of the order statistics beside it.

@@ -1,5 +1,6 @@
 """Studies on disk: cut into chunks, killed, resumed, they end in the identical result."""
 
+import shutil
 import signal
 import time
 
@@ -55,6 +56,33 @@ def test_a_flipped_bit_is_noticed(study, result, tmp_path):
     assert len(said) == 1
 
 
+def _other_seed(study):
+    return Study(study.scenario, study.methods, RUNS, 5, tolerance_deg=20.0, window=(30.0, 60.0))
+
+
+def test_a_chunk_of_another_study_is_refused(study, tmp_path):
+    run(study, chunk=32, out=tmp_path / "a")
+    run(_other_seed(study), chunk=32, out=tmp_path / "b")
+    name = "000000032-000000063.npz"
+    shutil.copy(tmp_path / "b" / "chunks" / name, tmp_path / "a" / "chunks" / name)
+    with pytest.raises(UserError, match=rf"{name}: of another study, with other settings: take it out") as found:
+        run(study, out=tmp_path / "a", resume=True)
+    assert "\n" not in str(found.value)
+    assert (tmp_path / "a" / "chunks" / name).exists()  # it is somebody's
+
+
+def test_a_chunk_under_another_name_is_refused(study, result, tmp_path):
+    run(study, chunk=32, out=tmp_path)
+    chunks = tmp_path / "chunks"
+    (chunks / "000000064-000000095.npz").unlink()
+    (chunks / "000000032-000000063.npz").rename(chunks / "000000064-000000095.npz")
+    with pytest.raises(UserError, match="holds the runs 32 to 63, not those of its name: name it 000000032") as found:
+        run(study, out=tmp_path, resume=True)
+    assert "\n" not in str(found.value)
+    (chunks / "000000064-000000095.npz").rename(chunks / "000000032-000000063.npz")
+    assert_identical(run(study, out=tmp_path, resume=True), result)
+
+
 def test_nothing_is_left_to_do(study, result, tmp_path):
     run(study, out=tmp_path)
     start = time.perf_counter()
@@ -66,9 +94,8 @@ def test_a_folder_in_use_is_refused(study, tmp_path):
     run(study, out=tmp_path)
     with pytest.raises(UserError, match="holds a study already"):
         run(study, out=tmp_path)
-    changed = Study(study.scenario, study.methods, RUNS, 5, tolerance_deg=20.0, window=(30.0, 60.0))
     with pytest.raises(UserError, match=r"other settings \(seed was 4, is 5\)"):
-        run(changed, out=tmp_path, resume=True)
+        run(_other_seed(study), out=tmp_path, resume=True)
     tuned = {"oba": study.methods["oba"], "roba": with_parameters(study.methods["roba"], {"weight.gamma": 3.0})}
     changed = Study(study.scenario, tuned, RUNS, 4, tolerance_deg=20.0, window=(30.0, 60.0))
     with pytest.raises(UserError, match=r"methods.roba.weight.gamma was 2.5, is 3.0"):
