@@ -1,4 +1,6 @@
-"""The algebra of the batch estimator: the recursion against a dense solution, its model against navigation."""
+"""The algebra of the batch estimator: the recursion against a dense solution, its model against mechanization."""
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -7,137 +9,215 @@ import pytest
 
 from jaxalign import Quat, Vec3, epochs_from_log, rotation
 from jaxalign.batch import ImuErrors
-from jaxalign.batch.model import Guess, back, forth, navigated
-from jaxalign.batch.smoother import Prior, filtered, fixes, smoothed
+from jaxalign.batch.fix import PARTS, fixes
+from jaxalign.batch.reweight import lower_median
+from jaxalign.batch.smoother import Prior, filtered, propagate, smoothed, transposed
+from jaxalign.batch.solver import Model, Problem, State, linearized
+from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Trajectory, mechanized
 from jaxalign.simulate import simulate
+
+EPOCHS = 13
+ALL = ("mounting", "latency", "lever", "slow")
 
 
 @pytest.fixture(scope="module")
 def short():
-    """Twelve epochs on the true path of an accelerated turn, and its noisy fixes."""
-    log = simulate("dvl-sway", seed=3, duration=12.0)
+    """Twelve epochs of a swaying vessel, and a trajectory with defects a little off the true one; two lanes."""
+    log = simulate("dvl-sway", seed=3, noise=False, duration=12.0)
     epochs = epochs_from_log(log)
-    guess = Guess(
-        Quat.of(rotation.quat_from_dcm(log.C_nb[0])),
-        Vec3(jnp.array(1.0), jnp.array(1.5), jnp.array(0.1)),
-        Vec3(*jnp.array([1e-5, -2e-5, 3e-5])),
-        Vec3(*jnp.array([1e-3, 2e-3, -1e-3])),
-    )
-    return epochs, guess, navigated(epochs, guess)
+    rng = np.random.default_rng(1)
+
+    def lanes(size):
+        return Vec3(*(jnp.asarray(size * rng.normal(size=(EPOCHS, 2))) for _ in range(3)))
+
+    turn = np.linspace(0, 12 * 7.292115e-5 * np.cos(log.lat), EPOCHS)[:, None]
+    q_n0n = Quat.exp(Vec3(0.0 * turn, turn, np.tan(log.lat) * turn))
+    q_nb = jax.tree.map(lambda x: x[:, None], Quat.of(rotation.quat_from_dcm(log.C_nb)))
+    attitude = (Quat.exp(lanes(1e-4)) * q_n0n * q_nb).unit()
+    velocity = jax.tree.map(lambda x: x[:, None], Vec3.of(log.velocity))
+    velocity = attitude.rotate(velocity) + lanes(0.02)
+    at = Trajectory(attitude, velocity, lanes(1e-5), lanes(1e-3))
+    return epochs, at, jax.tree.map(lambda x: x[:, None], epochs.rows)
 
 
-def test_back_is_the_transpose_of_forth(short):
-    _, _, path = short
-    row = jax.tree.map(lambda x: x[5], path)
-    rng = np.random.default_rng(0)
-    x, r = rng.normal(size=(2, 16))
-    np.testing.assert_allclose(r @ forth(row, jnp.asarray(x)), x @ back(row, jnp.asarray(r)), rtol=1e-12)
+def problem(short, unknown=()):
+    """With the second lane ending three epochs earlier, a fix missing, and a wander of the biases."""
+    epochs, at, rows = short
+    sizes = [PARTS[name] for name in unknown]
+    sd = jnp.linspace(0.01, 0.3, sum(sizes))
+    fade = jnp.asarray([20.0 if name == "slow" else jnp.inf for name in unknown for _ in range(PARTS[name])])
+    imu = ImuErrors(*(jnp.asarray(x) for x in (10.0, 2.0, 500.0, 3000.0)))
+    model = Model(imu, jnp.asarray(0.05), jnp.asarray(30.0), sd, fade, unknown, "stated", "body")
+    rows = dataclasses.replace(rows, valid=rows.valid.at[4].set(False))
+    some = Problem(rows, epochs.site, jnp.asarray(0.1), jnp.asarray([EPOCHS - 1, EPOCHS - 4]))
+    weight = jnp.linspace(0.05, 1.0, 2 * EPOCHS).reshape(EPOCHS, 2)
+    unknowns = 0.01 * jnp.arange(1.0, 1 + 2 * sum(sizes)).reshape(-1, 2)
+    state = State(at, unknowns, weight, jnp.asarray([0.01, 0.02]), jnp.ones(2), None)
+    linear = linearized(model, some, state)
+    variance = linear.prior.variance.at[3:6].set(1.0)
+    others = linear.process.others.at[:, :6].set(linear.intervals.dt[:, None] * 1e-9)
+    process = dataclasses.replace(linear.process, others=others)
+    return dataclasses.replace(linear, prior=Prior(linear.prior.mean, variance), process=process)
+
+
+def dense(linear, lane):
+    """All unknowns in one normal matrix: the start, and the noise of each interval and state.
+
+    Returns:
+        Their solution and covariance, the whole history (K, n, unknowns) with its inputs (K, n), and the density of
+        the measurements but for a constant.
+    """
+    take = jax.tree.map(lambda x: np.asarray(x)[..., lane : lane + 1] if x.shape[-1] > 1 else np.asarray(x), linear)
+    n = len(take.prior.mean)
+    count = len(take.gap)
+    size = n * count
+    whole, inputs = np.zeros((n, size)), np.zeros((n, 1))
+    whole[:, :n] = np.eye(n)
+    covariance = np.zeros((size, size))
+    covariance[:n, :n] = np.diag(take.prior.variance[:, 0])
+    mean = np.zeros(size)
+    mean[:n] = take.prior.mean[:, 0]
+    history, h, y, r = [], [], [], []
+    for k in range(count):
+        row, fade = jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), (take.intervals, take.process.fade))
+        if k:
+            columns = [np.asarray(propagate(row, fade, jnp.asarray(c)[:, None]))[:, 0] for c in whole.T]
+            whole = np.stack(columns, axis=1)
+            inputs = np.array(propagate(row, fade, jnp.asarray(inputs)))
+            inputs[:STATES] += np.asarray(row.defect)
+            here = slice(n * k, n * (k + 1))
+            whole[:, here] += np.eye(n)
+            noise = np.diag(np.concatenate([np.zeros(6), take.process.others[k, :, 0]]))
+            noise[:6, :6] += take.process.motion[k, :, :, 0]
+            covariance[here, here] = noise
+        history.append((whole.copy(), inputs[:, 0].copy()))
+        if take.used[k, 0]:
+            slope = take.slope[k, :, :, 0]
+            h.append(slope @ whole)
+            y.append(take.gap[k, :, 0] - slope @ inputs[:, 0])
+            r.append(take.variance[k, :, 0])
+    h, y, r = np.concatenate(h), np.concatenate(y), np.concatenate(r)
+    spread = h @ covariance @ h.T + np.diag(r)
+    off = y - h @ mean
+    gain = np.linalg.solve(spread, h @ covariance).T
+    density = -0.5 * (off @ np.linalg.solve(spread, off) + np.linalg.slogdet(spread)[1])
+    return mean + gain @ off, covariance - gain @ h @ covariance, history, density
+
+
+@pytest.mark.parametrize("unknown", [(), ALL])
+def test_smoother_is_the_dense_solution(short, unknown):
+    linear = problem(short, unknown)
+    found = jax.jit(filtered)(linear)
+    error, noise = jax.jit(smoothed)(linear, found)
+    for lane in range(2):
+        solution, covariance, history, density = dense(linear, lane)
+        whole, inputs = history[-1]
+        np.testing.assert_allclose(found.mean[:, lane], whole @ solution + inputs, rtol=1e-6, atol=1e-9)
+        last = whole @ covariance @ whole.T
+        np.testing.assert_allclose(found.covariance[..., lane], last, atol=1e-6 * np.abs(last).max())
+        np.testing.assert_allclose(found.log_likelihood[lane], density, rtol=1e-8)
+        for k, (whole, inputs) in enumerate(history):
+            x = whole @ solution + inputs
+            np.testing.assert_allclose(error[k, :, lane], x, rtol=1e-6, atol=1e-9)
+            if linear.used[k, lane]:
+                expected = linear.gap[k, :, lane] - linear.slope[k, :, :, lane] @ x
+                np.testing.assert_allclose(noise[k, :, lane], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_all_epochs_are_kept_where_that_is_wished(short):
+    linear = problem(short)
+    kept, last = filtered(linear, keep=True), filtered(linear)
+    np.testing.assert_allclose(kept.mean[-1], last.mean, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(kept.covariance[-1], last.covariance, rtol=1e-9, atol=1e-18)
+    assert kept.covariance.shape == (EPOCHS, STATES, STATES, 2)
+
+
+def test_the_transpose(short):
+    linear = problem(short, ALL)
+    row, fade = jax.tree.map(lambda x: x[5], (linear.intervals, linear.process.fade))
+    x, r = np.random.default_rng(0).normal(size=(2, STATES + 11, 2))
+    there, back = propagate(row, fade, jnp.asarray(x)), transposed(row, fade, jnp.asarray(r))
+    np.testing.assert_allclose(np.sum(r * there, axis=0), np.sum(x * back, axis=0), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("kind", "size"), [(0, 1e-6), (1, 1e-5), (2, 1e-8), (3, 1e-6)])
-def test_errors_pass_on_as_navigation_has_them(short, kind, size):
-    """Navigate from a guess moved by little: the difference is what the model says, to 1 % of the largest axis."""
-    epochs, guess, path = short
-    found, said = [], []
+def test_errors_pass_on_as_mechanization_has_them(short, kind, size):
+    """Move the states before the intervals by little: the defects change as the model says, to 1 % of the largest."""
+    epochs, at, rows = short
+    on = jnp.ones((EPOCHS, 2), bool)
+    base = mechanized(rows, epochs.site, at, on)
+    changes, said = [], []
     for axis in range(3):
-        x = jnp.zeros(12).at[3 * kind + axis].set(size)
-        moved = navigated(epochs, guess.moved(x))
-        for k in range(1, 13):
-            x = forth(jax.tree.map(lambda leaf, k=k: leaf[k], path), x)
-        q, p = (jax.tree.map(lambda leaf: leaf[12], one.q_n0b) for one in (moved, path))
-        speed = (moved.velocity - path.velocity).array[12]
-        found.append([(q * p.conjugate()).log().array, speed])
-        said.append([x[:3], x[3:6]])
-    for i in range(2):
-        ours, theirs = (np.array([pair[i] for pair in pairs]) for pairs in (found, said))
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-2 * np.abs(theirs).max() + 1e-12)
+        error = jnp.zeros((EPOCHS, STATES, 2)).at[::2, 3 * kind + axis].set(size)
+        moved = mechanized(rows, epochs.site, at.moved(error), on)
+        changes.append(np.asarray(moved.defect - base.defect)[1:])
+        before = jnp.moveaxis(error[:-1], 0, -1).reshape(STATES, -1)
+        flat = jax.tree.map(lambda x: jnp.moveaxis(x[1:], 0, -1).reshape(*x.shape[1:-1], -1), base)
+        after = propagate(flat, jnp.zeros((0, 1)), before).reshape(STATES, 2, EPOCHS - 1)
+        said.append(np.moveaxis(np.asarray(after), -1, 0) - np.asarray(error[1:]))
+    changes, said = np.array(changes), np.array(said)
+    for part in (TILT, VELOCITY, GYRO, ACCEL):
+        most = np.abs(said[:, :, part]).max()
+        np.testing.assert_allclose(changes[:, :, part], said[:, :, part], rtol=0, atol=1e-2 * most + 1e-12)
 
 
-AID = {"mounting": 4, "latency": 1, "lever": 3}
+def test_turned_about_the_vertical_nothing_but_the_heading_changes(short):
+    """Velocities and attitudes turned together: a body aid sees no change, the defects keep their size, to first order.
+
+    That is what keeps noise from telling a heading: the change of the errors is an exact solution of the linear
+    problem but for the Earth's rotation.
+    """
+    linear = problem(short)
+    _, at, _ = short
+    v = jnp.stack([at.velocity.x, at.velocity.y, at.velocity.z], axis=1)
+    error = jnp.zeros((EPOCHS, STATES, 2)).at[:, 2].set(1.0)
+    error = error.at[:, 3].set(-v[:, 1]).at[:, 4].set(v[:, 0])
+    still = dataclasses.replace(linear.intervals, spin=0.0 * linear.intervals.spin)
+    for k in range(1, EPOCHS):
+        row = jax.tree.map(lambda x, k=k: x[k], still)
+        there = propagate(row, jnp.zeros((0, 1)), error[k - 1])
+        fallen = v[k] - v[k - 1] - row.gained  # gravity and Coriolis' term, which do not turn
+        there = there.at[3:5].add(jnp.stack([-fallen[1], fallen[0]]))
+        np.testing.assert_allclose(there, error[k], atol=1e-9)
+    seen = jnp.einsum("kmnl,knl->kml", linear.slope, error)
+    np.testing.assert_allclose(seen, 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("calibrated", [(), ("mounting", "latency", "lever")])
-def test_smoother_is_the_dense_least_squares_solution(short, calibrated):
-    """All unknowns and all white noise of twelve intervals in one normal matrix."""
-    epochs, _, path = short
-    imu = ImuErrors(*(jnp.asarray(x) for x in (10.0, 2.0, 500.0, 3000.0)))
-    used = epochs.rows.valid.at[4].set(False)
-    measured = fixes(path, epochs.rows.velocity, used, "body", **{x: jnp.zeros(AID[x]) for x in calibrated})
-    n = 12 + sum(AID[x] for x in calibrated)
-    variance = jnp.linspace(0.01, 0.3, 13)
-    prior = Prior(jnp.linspace(-1e-4, 1e-4, n), jnp.full(n, 1e-3).at[3:6].set(100.0))
-    found = filtered(path, measured, variance, imu, prior, keep=True)
-    start, noise = smoothed(path, measured, variance, prior, found)
-
-    rows = [jax.tree.map(lambda x, k=k: x[k], path) for k in range(13)]
-    from jaxalign.batch.smoother import _noise
-
-    size = n + 6 * 12  # the start, then the noise of each interval as unknowns
-    whole = np.zeros((n, size))
-    whole[:, :n] = np.eye(n)
-    information = np.zeros((size, size))
-    information[:n, :n] = np.diag(1 / np.asarray(prior.variance))
-    right = np.zeros(size)
-    right[:n] = np.asarray(prior.mean / prior.variance)
-    at = []
-    for k in range(13):
-        if k:
-            whole = np.array(forth(rows[k], jnp.asarray(whole)))
-            here = slice(n + 6 * (k - 1), n + 6 * k)
-            whole[:6, here] += np.eye(6)
-            information[here, here] += np.linalg.inv(np.asarray(_noise(rows[k], imu)))
-        h = np.asarray(measured.slope[k]) @ whole
-        at.append(h)
-        information += h.T @ h / float(variance[k])
-        right += h.T @ np.asarray(measured.gap[k]) / float(variance[k])
-    covariance = np.linalg.inv(information)
-    solution = covariance @ right
-    np.testing.assert_allclose(start, solution[:n], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(found.mean[-1], whole @ solution, rtol=1e-6, atol=1e-9)
-    dense = whole @ covariance @ whole.T
-    np.testing.assert_allclose(found.covariance[-1], dense, atol=1e-6 * np.abs(dense).max())
-    for k in range(13):
-        expected = np.asarray(measured.gap[k]) - at[k] @ solution
-        np.testing.assert_allclose(noise[k], expected, rtol=1e-6, atol=1e-9)
-
-
-def test_likelihood_is_that_of_the_dense_distribution(short):
-    """Twelve epochs: the recursion against the normal density of all velocities at once, but for its constant."""
-    epochs, _, path = short
-    imu = ImuErrors(*(jnp.asarray(x) for x in (10.0, 2.0, 500.0, 3000.0)))
-    used = epochs.rows.valid.at[4].set(False)
-    measured = fixes(path, epochs.rows.velocity, used, "body")
-    variance = jnp.linspace(0.01, 0.3, 13)
-    prior = Prior(jnp.linspace(-1e-4, 1e-4, 12), jnp.full(12, 1e-3).at[3:6].set(1.0))
-    found = filtered(path, measured, variance, imu, prior)
-    rows = [jax.tree.map(lambda x, k=k: x[k], path) for k in range(13)]
-    from jaxalign.batch.smoother import _noise
-
-    state, shocks = np.eye(12), []
-    slopes, spreads = [], []
-    for k, row in enumerate(rows):
-        push = np.asarray(forth(row, jnp.eye(12)))
-        state = push @ state
-        shocks = [push @ s for s in shocks] + [
-            np.eye(12)[:, :6] @ np.linalg.cholesky(_noise(row, imu) + 1e-30 * np.eye(6))
-        ]
-        if used[k]:
-            h = np.asarray(measured.slope[k])
-            slopes.append(h @ state)
-            spreads.append(np.hstack([h @ s for s in shocks] + [np.zeros((3, 6 * (12 - k)))]))
-    a, b = np.vstack(slopes), np.vstack(spreads)
-    keep = np.asarray(used)
-    covariance = a @ np.diag(prior.variance) @ a.T + b @ b.T + np.diag(np.repeat(np.asarray(variance)[keep], 3))
-    z = np.asarray(measured.gap)[keep].ravel() - a @ np.asarray(prior.mean)
-    dense = -0.5 * (z @ np.linalg.solve(covariance, z) + np.linalg.slogdet(covariance)[1])
-    np.testing.assert_allclose(found.log_likelihood, dense, rtol=1e-9)
-
-
-@pytest.mark.parametrize("unknown", ["latency", "lever"])
+@pytest.mark.parametrize("unknown", ["latency", "lever", "slow"])
 def test_slopes_of_the_aids_unknowns(short, unknown):
-    """The gap changes as the slope says, exactly: both are linear."""
-    epochs, _, path = short
-    value = jnp.arange(1.0, 1.0 + AID[unknown]) / 3
-    zero, there = (fixes(path, epochs.rows.velocity, epochs.rows.valid, "nav", **{unknown: x * value}) for x in (0, 1))
-    np.testing.assert_allclose(zero.gap - there.gap, zero.slope[..., 12:] @ value, atol=1e-13)
-    assert np.abs(zero.gap - there.gap).max() > 1e-4
+    """The gap changes as the slope says, exactly: all are linear."""
+    epochs, at, rows = short
+    intervals = mechanized(rows, epochs.site, at, jnp.ones((EPOCHS, 2), bool))
+    value = jnp.arange(1.0, 1.0 + PARTS[unknown])[:, None] / 3 * jnp.ones(2)
+
+    def gap(x):
+        used = rows.valid & jnp.ones((1, 2), bool)
+        return fixes(at, intervals.q_n0n, intervals.dt, rows.velocity, used, "nav", {unknown: x * value})
+
+    zero, there = gap(0.0), gap(1.0)
+    slope = jnp.einsum("kmcl,cl->kml", zero.slope[:, :, STATES:], value)
+    if unknown == "slow":  # it is no part of the trajectory
+        np.testing.assert_allclose(np.linalg.norm(slope, axis=1), np.linalg.norm(value[:, 0]), rtol=1e-12)
+    else:
+        np.testing.assert_allclose(zero.gap - there.gap, slope, atol=1e-13)
+    assert np.abs(slope).max() > 1e-4
+
+
+def test_a_bias_that_is_not_known_leaves_its_prior(short):
+    """Nothing used: the filter hands on what it was given."""
+    linear = problem(short)
+    nothing = dataclasses.replace(linear, slope=0.0 * linear.slope, gap=0.0 * linear.gap)
+    found = filtered(nothing)
+    np.testing.assert_allclose(found.mean[GYRO], linear.prior.mean[GYRO] + jnp.sum(linear.intervals.defect, 0)[GYRO])
+    assert (found.gain == 0).all()
+
+
+def test_median():
+    rng = np.random.default_rng(0)
+    x, used = rng.random((101, 4)) ** 3, rng.random((101, 4)) < 0.5
+    used[:, 3] = False
+    found = lower_median(jnp.asarray(x), jnp.asarray(used))
+    for lane in range(3):
+        ordered = np.sort(x[used[:, lane], lane])
+        np.testing.assert_allclose(found[lane], ordered[(len(ordered) - 1) // 2], rtol=1e-7)
+    assert found[3] == 0
