@@ -70,19 +70,20 @@ def _best(reads: Readout) -> Readout:
     return dataclasses.replace(chosen, tilt=tilt)
 
 
-def _rounds(model: Model, problem: Problem, state: State, first: int, count: int, early: int) -> tuple[State, Readout]:
-    """So many steps; the last one only reads out."""
+def _rounds(model: Model, problem: Problem, state: State, iterations: int) -> tuple[State, Readout]:
+    """Steps until all lanes have converged, at most so many; then one that only reads out."""
 
-    def body(carry: Any, number: Any) -> Any:
-        state, _, _ = carry
-        new, read = step(model, problem, state, number < early, number == first + count - 1)
-        return (new, state, read), None
+    def body(carry: Any) -> Any:
+        state, _, number, _ = carry
+        final = (number >= iterations) | ~jnp.any(state.moving)
+        new, read = step(model, problem, state, number >= iterations // 2, final)
+        state = jax.tree.map(lambda a, b: jnp.where(final, a, b), state, new)
+        return state, read, number + 1, final
 
     nothing = jax.eval_shape(lambda: step(model, problem, state, True, True)[1])
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), nothing)
-    numbers = jnp.arange(first, first + count)
-    (_, before, read), _ = jax.lax.scan(body, (state, state, zeros), numbers)
-    return before, read
+    state, read, _, _ = jax.lax.while_loop(lambda c: ~c[-1], body, (state, zeros, jnp.asarray(0), jnp.asarray(False)))
+    return state, read
 
 
 def _searched(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> tuple[Readout, State]:
@@ -92,11 +93,11 @@ def _searched(model: Model, problem: Problem, begun: State, iterations: int, sta
         start = jax.tree.map(
             lambda a, b: jnp.where(number == 0, a, b), begun, _turned(begun, first, angles[number], model.aid)
         )
-        state, read = _rounds(model, problem, start, 0, iterations + 1, iterations // 2)
+        state, read = _rounds(model, problem, start, iterations)
         return jax.tree.map(lambda a, b: jnp.where(number == 0, a, b), state, first), (read, state)
 
     if starts == 1:
-        state, read = _rounds(model, problem, begun, 0, iterations + 1, iterations // 2)
+        state, read = _rounds(model, problem, begun, iterations)
         return read, state
     angles = jnp.asarray([0.0, *turns(starts)])
     _, (reads, states) = jax.lax.scan(search, begun, jnp.arange(starts))
@@ -117,9 +118,10 @@ def _converged_jvp(primals: Any, tangents: Any) -> Any:
     read, state = jax.lax.stop_gradient(_searched(model, problem, begun, iterations, starts))
 
     def polished(model: Model, problem: Problem) -> Readout:
-        one = jax.checkpoint(lambda state, _: (step(model, problem, state, False, False)[0], None), prevent_cse=False)
-        last, _ = jax.lax.scan(one, state, None, length=_POLISH)
-        return step(model, problem, last, False, True)[1]
+        one = jax.checkpoint(lambda state, _: (step(model, problem, state, True, False)[0], None), prevent_cse=False)
+        moving = dataclasses.replace(state, moving=jnp.ones_like(state.moving))
+        last, _ = jax.lax.scan(one, moving, None, length=_POLISH)
+        return step(model, problem, last, True, True)[1]
 
     _, moved = eqx.filter_jvp(polished, (model, problem), (tangents[0], tangents[1]))
     return read, moved
@@ -185,17 +187,24 @@ def on_host(
         reads, first = [], begun
         for angle in (0.0, *turns(starts)):
             state = begun if not reads else _again(begun, first, np.float64(angle), own.aid)
-            for number in range(iterations + 1):
-                before = state
-                state, read = _step(
-                    own, problem, state, np.asarray(number < iterations // 2), np.asarray(number == iterations)
-                )
-            first = before if not reads else first
+            state, read = _looped(own, problem, state, iterations)
+            first = state if not reads else first
             reads.append(read)
         read = reads[0] if starts == 1 else _chosen(jax.tree.map(lambda *x: jnp.stack(x), *reads))
         groups.append(jax.tree.map(lambda x, n=count: np.asarray(x)[..., :n], Found(read, alpha, beta)))
         done(count)
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *groups)
+
+
+def _looped(model: Model, problem: Problem, state: State, iterations: int) -> tuple[State, Readout]:
+    """As :func:`_rounds`, step by step."""
+    number, final = 0, False
+    while True:
+        final = number >= iterations or not np.any(state.moving)
+        new, read = _step(model, problem, state, np.asarray(number >= iterations // 2), np.asarray(final))
+        if final:
+            return state, read
+        state, number = new, number + 1
 
 
 def _groups(model: Model, epochs: Epochs, rows: Epoch, last: np.ndarray, lanes: int) -> Iterator[tuple[Any, Any, int]]:

@@ -41,6 +41,7 @@ LEAST_SD = 1e-6
 """m/s: noise of an aid below which none is believed."""
 _FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity, and nothing lost to rounding
 _LEAST = 1e-12  # weight
+_NEAR, _STILL = 1e-2, 1e-5  # standard deviations that a step moves a solution that is near, and one that has converged
 
 
 class Model(eqx.Module):
@@ -103,6 +104,9 @@ class State(eqx.Module):
         variance: (L,) of the noise of a fix, (m/s)^2.
         times: (L,) how many times it counts.
         settled: (K, L) for a navigation aid, see :func:`jaxalign.batch.fix.fixes`; else None.
+        early: (L,) the trajectory is still far off: the noise is judged by its median. While biases are still in the
+            misfit a mean square would take them for noise, and keep them there.
+        moving: (L,) whether it has not converged; if it has, it stays as it is, whatever other lanes do.
     """
 
     at: Trajectory
@@ -111,6 +115,8 @@ class State(eqx.Module):
     variance: Float[Array, " L"]
     times: Float[Array, " L"]
     settled: Vec3 | None
+    early: Bool[Array, " L"]
+    moving: Bool[Array, " L"]
 
 
 class Readout(eqx.Module):
@@ -155,7 +161,8 @@ def initial_state(model: Model, problem: Problem, seen: Views) -> State:
     count = sum(PARTS[name] for name in model.unknown)
     at = views.trajectory(start)
     steady = at.velocity if model.aid == "nav" else None
-    state = State(at, jnp.zeros((count, lanes)), weight, variance, jnp.ones(lanes), steady)
+    yes = jnp.ones(lanes, bool)
+    state = State(at, jnp.zeros((count, lanes)), weight, variance, jnp.ones(lanes), steady, yes, yes)
     return jax.lax.stop_gradient(state)
 
 
@@ -208,7 +215,7 @@ def linearized(model: Model, problem: Problem, state: State) -> LinearProblem:
     return LinearProblem(intervals, process, found.gap, found.slope, each[:, None] * found.variance, used, prior)
 
 
-def step(model: Model, problem: Problem, state: State, early: Any, final: Any) -> tuple[State, Readout]:
+def step(model: Model, problem: Problem, state: State, late: Any, final: Any) -> tuple[State, Readout]:
     """One Gauss-Newton step, and the solution by the linear problem that it starts from.
 
     Of a navigation aid the final step tells the covariance alone, with velocities that have settled: the solution is
@@ -218,8 +225,7 @@ def step(model: Model, problem: Problem, state: State, early: Any, final: Any) -
         model: what is known.
         problem: fixes.
         state: from the step before.
-        early: the trajectory is still far off: its noise is judged by the median. While biases are still in the misfit
-            a mean square would take them for noise, and keep them there.
+        late: no trajectory is taken as far off any more.
         final: it is read out after this one.
     """
     if state.settled is not None:
@@ -229,10 +235,13 @@ def step(model: Model, problem: Problem, state: State, early: Any, final: Any) -
     found = filtered(linear)
     error, noise = smoothed(linear, found)
     used, stated = problem.used, jnp.maximum(problem.stated, LEAST_SD)
-    even = noise
-    judged = jax.lax.cond(early, lambda: median_variance(even, used, stated), lambda: state.variance)
-    good, weight = weighed(even, judged, used, model.outliers, model.spread)
-    late, times = estimated(even, good, stated, model.noise)
+    early = state.early & ~late
+    median = jax.lax.cond(jnp.any(early), lambda: median_variance(noise, used, stated), lambda: state.variance)
+    judged = jnp.where(early, median, state.variance)
+    good, weight = weighed(noise, judged, used, model.outliers, model.spread)
+    mean, times = estimated(noise, good, stated, model.noise)
+    own = jnp.stack([found.covariance[i, i] for i in range(STATES)])
+    moved = jnp.max(jnp.abs(found.mean[:STATES]) / jnp.sqrt(own), axis=0)
     constant = jnp.isinf(model.fade_s)[:, None]
     at, steady = state.at.moved(error), None
     if state.settled is not None:
@@ -243,10 +252,13 @@ def step(model: Model, problem: Problem, state: State, early: Any, final: Any) -
         at,
         state.unknowns + jnp.where(constant, error[0, STATES:], 0.0),
         weight,
-        jnp.where(early, judged, late),
+        jnp.where(early, judged, mean),
         jnp.where(early, 1.0, times),
         steady,
+        early & (moved > _NEAR),
+        state.moving & (early | (moved > _STILL)),
     )
+    new = jax.tree.map(lambda a, b: jnp.where(state.moving, a, b), new, state)
     if state.settled is not None:
         found = dataclasses.replace(found, mean=jnp.where(final, 0.0, found.mean))
     return new, _read(model, problem, state, linear, found, noise)
