@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -78,6 +79,8 @@ class Aligner(eqx.Module):
 
     has_covariance: ClassVar[bool] = False
     """Whether its solutions come with a covariance."""
+    dear_rows: ClassVar[bool] = False
+    """Whether each row goes over all epochs before it; then ``solve`` takes ``done`` too, which is told of rows."""
     observe: AbstractObserve
     reconstruct: AbstractReconstruct = eqx.field(default_factory=Measured)
     weight: AbstractWeight = eqx.field(default_factory=Unit)
@@ -324,7 +327,9 @@ def check_every(every: Any) -> None:
         raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
 
 
-def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) -> Solution:
+def align(
+    method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None, done: Callable[[int], None] | None = None
+) -> Solution:
     """Align a log with a method.
 
     Args:
@@ -339,6 +344,7 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
             standing: of the force integrated over one interval). By default what the log says of the aid that the
             method observes, else an estimate from the log (:func:`estimate_aid_sd`). ``Solution.aid_sd`` says what
             was used.
+        done: told how many rows are finished, now and then, by a method whose rows are dear (``dear_rows``).
 
     Returns:
         A :class:`Solution`.
@@ -349,6 +355,8 @@ def align(method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None) ->
     """
     check_every(every)
     epochs = epochs_for(method, log, aid_sd)  # first: it refuses what is no method
+    if done is not None and method.dear_rows:
+        return method.solve(epochs, int(every), done)
     return method.solve(epochs, int(every))
 
 

@@ -49,12 +49,14 @@ def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) ->
     # Attitude and velocity in n0 need the turn of n, which follows the velocity in n: twice from an n at rest.
     q_n0n = jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), Quat.identity())
     still, yes = jnp.zeros((count, 1)), jnp.ones(1, bool)
-    for _ in range(3):
+    for _ in range(4):
         velocity = q_n0n.rotate(Vec3.of(exact.velocity_n))
-        lanes = jax.tree.map(lambda x: x[:, None], (q_n0n * q_nb, velocity))
+        *lanes, n = jax.tree.map(lambda x: x[:, None], (q_n0n * q_nb, velocity, q_n0n))
         at = Trajectory(*lanes, Vec3(still, still, still), Vec3(still, still, still))
         steady = at.velocity if epochs.aid == "nav" else None
-        state = State(at, jnp.zeros((0, 1)), jnp.ones((count, 1)), jnp.ones(1) * sd**2, jnp.ones(1), steady, yes, yes)
+        state = State(
+            at, n, jnp.zeros((0, 1)), jnp.ones((count, 1)), jnp.ones(1) * sd**2, jnp.ones(1), steady, yes, yes
+        )
         linear = linearized(model, problem, state)
         q_n0n = jax.tree.map(lambda x: x[:, 0], linear.intervals.q_n0n)
     speed = jnp.where(known, _EXACT, _FAST)

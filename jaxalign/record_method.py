@@ -58,6 +58,8 @@ class AbstractRecordMethod(eqx.Module):
     aid: ClassVar[str] = "static"
     has_covariance: ClassVar[bool] = False
     """Whether its solutions come with a covariance."""
+    dear_rows: ClassVar[bool] = False
+    """Whether each row goes over all epochs before it."""
 
     @abstractmethod
     def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -106,6 +107,7 @@ def assess(
     aid_sd: Any = None,
     draws: int = 256,
     seed: int = 0,
+    done: Callable[[int], None] | None = None,
 ) -> Solution:
     """Align as :func:`jaxalign.align` does, and say how sure the attitude is: ``Solution.covariance``.
 
@@ -127,6 +129,7 @@ def assess(
         aid_sd: see :func:`jaxalign.align`.
         draws: rounded up to a multiple of 32.
         seed: of the draws.
+        done: see :func:`jaxalign.align`.
 
     Raises:
         UserError: as :func:`jaxalign.align`; ``imu`` is none, or fewer than one draw.
@@ -137,7 +140,7 @@ def assess(
         raise UserError(f"draws = {draws}: must be a whole number, at least 1")
     if isinstance(getattr(method, "imu", None), ImuErrors):
         method = dataclasses.replace(method, imu=imu)
-    found = align(method, log, every, aid_sd)
+    found = align(method, log, every, aid_sd, done)
     if not method.has_covariance:
         epochs = epochs_for(method, log, found.aid_sd[-1])
         bare = without_prefilter(method)

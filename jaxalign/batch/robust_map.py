@@ -74,6 +74,7 @@ class RobustMap(eqx.Module):
     """
 
     has_covariance: ClassVar[bool] = True
+    dear_rows: ClassVar[bool] = True
     imu: ImuErrors = eqx.field(default_factory=ImuErrors)
     outliers: Float[Array, ""] = tunable(0.05, unit="1", bounds=(1e-4, 0.5))
     spread: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))

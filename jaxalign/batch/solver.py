@@ -33,7 +33,7 @@ from jaxalign.batch.trajectory import (
 )
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
-from jaxalign.vector import Vec3
+from jaxalign.vector import Quat, Vec3
 
 __all__ = ["LEAST_SD", "Model", "Problem", "Readout", "State", "initial_state", "linearized", "step"]
 
@@ -99,6 +99,7 @@ class State(eqx.Module):
 
     Attributes:
         at: trajectory.
+        q_n0n: n at its epochs.
         unknowns: (c, L) of the aid.
         weight: (K, L) of each fix.
         variance: (L,) of the noise of a fix, (m/s)^2.
@@ -110,6 +111,7 @@ class State(eqx.Module):
     """
 
     at: Trajectory
+    q_n0n: Quat
     unknowns: Float[Array, "c L"]
     weight: Float[Array, "K L"]
     variance: Float[Array, " L"]
@@ -162,7 +164,7 @@ def initial_state(model: Model, problem: Problem, seen: Views) -> State:
     at = views.trajectory(start)
     steady = at.velocity if model.aid == "nav" else None
     yes = jnp.ones(lanes, bool)
-    state = State(at, jnp.zeros((count, lanes)), weight, variance, jnp.ones(lanes), steady, yes, yes)
+    state = State(at, views.q_n0n, jnp.zeros((count, lanes)), weight, variance, jnp.ones(lanes), steady, yes, yes)
     return jax.lax.stop_gradient(state)
 
 
@@ -205,7 +207,7 @@ def _process(model: Model, intervals: Intervals) -> Process:
 def linearized(model: Model, problem: Problem, state: State) -> LinearProblem:
     """The errors of the trajectory and the fixes that measure them."""
     used = problem.used
-    intervals = mechanized(problem.rows, problem.site, state.at, problem.on)
+    intervals = mechanized(problem.rows, problem.site, state.at, state.q_n0n, problem.on)
     unknowns = {name: state.unknowns[where] for name, where in parts_of(model.unknown).items()}
     velocity, dt = problem.rows.velocity, intervals.dt
     found = fixes(state.at, intervals.q_n0n, dt, velocity, used, model.aid, unknowns, state.settled)
@@ -250,6 +252,7 @@ def step(model: Model, problem: Problem, state: State, late: Any, final: Any) ->
         steady = settled(at.velocity, left, variances, used)
     new = State(
         at,
+        linear.intervals.q_n0n,
         state.unknowns + jnp.where(constant, error[0, STATES:], 0.0),
         weight,
         jnp.where(early, judged, mean),

@@ -48,6 +48,7 @@ class Views(eqx.Module):
         alpha: (K, ...) m/s, n0.
         beta: (K, ...) m/s, b0.
         q_b0b: turn since the first epoch.
+        q_n0n: n.
         force: integrated specific force, m/s, b0.
         fallen: integrated gravity, m/s, n0.
     """
@@ -55,6 +56,7 @@ class Views(eqx.Module):
     alpha: Vec3
     beta: Vec3
     q_b0b: Quat
+    q_n0n: Quat
     force: Vec3
     fallen: Vec3
 
@@ -94,7 +96,7 @@ def views(rows: Epoch, site: Site, aid: str) -> Views:
         else:
             pair = -fallen, force
         carry = (q_b0b, q_n0n, force, fallen, moved, velocity)
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), carry), Views(*pair, q_b0b, force, fallen)
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), carry), Views(*pair, q_b0b, q_n0n, force, fallen)
 
     zero, none = Vec3.zero(), Quat.identity()
     start = jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (none, none, zero, zero, zero, zero))

@@ -112,7 +112,30 @@ def _stack(*vectors: Vec3) -> Array:
     return jnp.stack(jnp.broadcast_arrays(*(c for v in vectors for c in (v.x, v.y, v.z))), axis=1)
 
 
-def mechanized(rows: Epoch, site: Site, at: Trajectory, on: Any) -> Intervals:
+def _over_the_earth(site: Site, velocity: Vec3, dt: Any) -> tuple[Vec3, Any]:
+    """Rate of n (rad/s, n) and gravity (m/s^2) in each interval, for its mean velocity in n."""
+    start = Place.of(site)
+    meridian, _ = start.parallel.radii
+    moved = velocity.y * dt
+    north = jnp.cumsum(moved, axis=0) - 0.5 * moved
+    place = Place(start.parallel.moved(north / (meridian + start.h)), start.h, start.anomaly)
+    return place.earth_rate + place.transport_rate(velocity), place.gravity
+
+
+def _turned_and_fallen(rate: Vec3, gravity: Any, dt: Any) -> tuple[Quat, Vec3]:
+    """N at the epochs, and what gravity gives in each interval, m/s, n0."""
+
+    def step(q_n0n: Quat, row: Any) -> tuple[Quat, tuple[Quat, Vec3]]:
+        rate, gravity, dt = row
+        fallen = q_n0n.rotate(gravity_impulse(rate, gravity, dt))
+        q_n0n = turn(q_n0n, rate, dt)
+        return q_n0n, (q_n0n, fallen)
+
+    one = jax.tree.map(lambda x: x * jnp.ones(dt.shape[1:]), Quat.identity())
+    return jax.lax.scan(step, one, (rate, gravity, dt))[1]
+
+
+def mechanized(rows: Epoch, site: Site, at: Trajectory, q_n0n: Quat, on: Any) -> Intervals:
     """Mechanize every interval from the state before it.
 
     A tilt turns what the force gave by the velocities of the trajectory, not by the accelerometers: then turning the
@@ -124,26 +147,17 @@ def mechanized(rows: Epoch, site: Site, at: Trajectory, on: Any) -> Intervals:
         rows: leaves (K, L) or (K, 1).
         site: leaves (L,) or ().
         at: the trajectory.
+        q_n0n: n at the epochs by an earlier trajectory: it tells the velocity in n and the direction of gravity. What
+            it is off, some 1e-4 rad, the next one is not.
         on: (K, L) whether the interval before the epoch counts; where not, nothing happens.
     """
     before = _before(at)
     dt = jnp.where(on, rows.dt, 0.0)
-    place = Place.of(site)
-    w_ie = place.earth_rate
+    w_ie = Place.of(site).earth_rate
     middle = (before.velocity + at.velocity) * 0.5
-
-    def step(carry: Any, row: Any) -> Any:
-        q_n0n, place = carry
-        middle, dt = row
-        mean = q_n0n.conjugate().rotate(middle)
-        half = place.moved(mean, 0.5 * dt)
-        rate = half.earth_rate + half.transport_rate(mean)
-        fallen = q_n0n.rotate(gravity_impulse(rate, place.gravity, dt))
-        q_n0n = turn(q_n0n, rate, dt)
-        return (q_n0n, place.moved(mean, dt)), (q_n0n, fallen)
-
-    start = jax.tree.map(lambda x: jnp.broadcast_to(x, dt.shape[1:]) * 1.0, (Quat.identity(), place))
-    _, (q_n0n, fallen) = jax.lax.scan(step, start, (middle, dt))
+    n_before = _before(q_n0n)
+    rate, gravity = _over_the_earth(site, n_before.conjugate().rotate(middle), dt)
+    q_n0n, fallen = _turned_and_fallen(rate, gravity, dt)
 
     measured = Increment(rows.rotation, rows.dvel).corrected(before.gyro, before.accel, rows.dt)
     rotation = _rescaled(measured.rotation).positive()

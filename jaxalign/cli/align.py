@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add"]
 
-_ROWS = 50  # of the batch estimator
-_VISITS = 150_000  # of its rows to epochs: seconds
+_ROWS = 50  # of a method whose rows are dear
 
 
 def add(commands: Any) -> None:
@@ -79,6 +78,7 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     import jax
     import numpy as np
+    from tqdm import tqdm
 
     import jaxalign
     from jaxalign.aligner import align, check_every
@@ -116,11 +116,16 @@ def _run(options: argparse.Namespace) -> int:
             "tactical or mems"
         )
     every = _every(options, method, log)
-    if imu is None:
-        found = align(method, log, every, options.aid_sd)
-    else:
-        found = assess(method, log, imu, every, options.aid_sd)
-    solution = jax.block_until_ready(found)
+    with tqdm(total=_ROWS, unit="row", delay=1.0, disable=None, leave=False) as bar:
+
+        def done(rows: int) -> None:
+            bar.update(rows)
+
+        if imu is None:
+            found = align(method, log, every, options.aid_sd, done)
+        else:
+            found = assess(method, log, imu, every, options.aid_sd, done=done)
+        solution = jax.block_until_ready(found)
 
     # Files first: a reader of the printed lines that leaves early (head) must not cost the results.
     of_log = log.aid_sd if log.aid == method.aid else None
@@ -154,13 +159,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _every(options: argparse.Namespace, method: Any, log: Log) -> int:
-    """Epochs between rows: each row of the batch estimator goes over all epochs before it."""
-    from jaxalign.batch import RobustMap
-
-    if options.every is not None or not isinstance(method, RobustMap):
+    """Epochs between rows."""
+    if options.every is not None or not method.dear_rows:
         return 1 if options.every is None else options.every
     count = log.epochs * log.aid_every // (method.interval_samples or log.aid_every)
-    return max(-(-count // min(max(_VISITS // max(count, 1), 2), _ROWS)), 1)
+    return max(-(-count // _ROWS), 1)
 
 
 def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tuple[str, Any, tuple[str, ...]]:

@@ -33,16 +33,17 @@ def short():
     turn = np.linspace(0, 12 * 7.292115e-5 * np.cos(log.lat), EPOCHS)[:, None]
     q_n0n = Quat.exp(Vec3(0.0 * turn, turn, np.tan(log.lat) * turn))
     q_nb = jax.tree.map(lambda x: x[:, None], Quat.of(rotation.quat_from_dcm(log.C_nb)))
+    q_n0n = jax.tree.map(lambda x: jnp.broadcast_to(x, (EPOCHS, 2)), q_n0n)
     attitude = (Quat.exp(lanes(1e-4)) * q_n0n * q_nb).unit()
     velocity = jax.tree.map(lambda x: x[:, None], Vec3.of(log.velocity))
     velocity = attitude.rotate(velocity) + lanes(0.02)
     at = Trajectory(attitude, velocity, lanes(1e-5), lanes(1e-3))
-    return epochs, at, jax.tree.map(lambda x: x[:, None], epochs.rows)
+    return epochs, at, q_n0n, jax.tree.map(lambda x: x[:, None], epochs.rows)
 
 
 def problem(short, unknown=()):
     """With the second lane ending three epochs earlier, a fix missing, and a wander of the biases."""
-    epochs, at, rows = short
+    epochs, at, q_n0n, rows = short
     sizes = [PARTS[name] for name in unknown]
     sd = jnp.linspace(0.01, 0.3, sum(sizes))
     fade = jnp.asarray([20.0 if name == "slow" else jnp.inf for name in unknown for _ in range(PARTS[name])])
@@ -53,7 +54,7 @@ def problem(short, unknown=()):
     weight = jnp.linspace(0.05, 1.0, 2 * EPOCHS).reshape(EPOCHS, 2)
     unknowns = 0.01 * jnp.arange(1.0, 1 + 2 * sum(sizes)).reshape(-1, 2)
     yes = jnp.ones(2, bool)
-    state = State(at, unknowns, weight, jnp.asarray([0.01, 0.02]), jnp.ones(2), None, yes, yes)
+    state = State(at, q_n0n, unknowns, weight, jnp.asarray([0.01, 0.02]), jnp.ones(2), None, yes, yes)
     linear = linearized(model, some, state)
     variance = linear.prior.variance.at[3:6].set(1.0)
     others = linear.process.others.at[:, :6].set(linear.intervals.dt[:, None] * 1e-9)
@@ -144,13 +145,13 @@ def test_the_transpose(short):
 @pytest.mark.parametrize(("kind", "size"), [(0, 1e-6), (1, 1e-5), (2, 1e-8), (3, 1e-6)])
 def test_errors_pass_on_as_mechanization_has_them(short, kind, size):
     """Move the states before the intervals by little: the defects change as the model says, to 1 % of the largest."""
-    epochs, at, rows = short
+    epochs, at, q_n0n, rows = short
     on = jnp.ones((EPOCHS, 2), bool)
-    base = mechanized(rows, epochs.site, at, on)
+    base = mechanized(rows, epochs.site, at, q_n0n, on)
     changes, said = [], []
     for axis in range(3):
         error = jnp.zeros((EPOCHS, STATES, 2)).at[::2, 3 * kind + axis].set(size)
-        moved = mechanized(rows, epochs.site, at.moved(error), on)
+        moved = mechanized(rows, epochs.site, at.moved(error), q_n0n, on)
         changes.append(np.asarray(moved.defect - base.defect)[1:])
         before = jnp.moveaxis(error[:-1], 0, -1).reshape(STATES, -1)
         flat = jax.tree.map(lambda x: jnp.moveaxis(x[1:], 0, -1).reshape(*x.shape[1:-1], -1), base)
@@ -169,7 +170,7 @@ def test_turned_about_the_vertical_nothing_but_the_heading_changes(short):
     problem but for the Earth's rotation.
     """
     linear = problem(short)
-    _, at, _ = short
+    _, at, _, _ = short
     v = jnp.stack([at.velocity.x, at.velocity.y, at.velocity.z], axis=1)
     error = jnp.zeros((EPOCHS, STATES, 2)).at[:, 2].set(1.0)
     error = error.at[:, 3].set(-v[:, 1]).at[:, 4].set(v[:, 0])
@@ -187,8 +188,8 @@ def test_turned_about_the_vertical_nothing_but_the_heading_changes(short):
 @pytest.mark.parametrize("unknown", ["latency", "lever", "slow"])
 def test_slopes_of_the_aids_unknowns(short, unknown):
     """The gap changes as the slope says, exactly: all are linear."""
-    epochs, at, rows = short
-    intervals = mechanized(rows, epochs.site, at, jnp.ones((EPOCHS, 2), bool))
+    epochs, at, q_n0n, rows = short
+    intervals = mechanized(rows, epochs.site, at, q_n0n, jnp.ones((EPOCHS, 2), bool))
     value = jnp.arange(1.0, 1.0 + PARTS[unknown])[:, None] / 3 * jnp.ones(2)
 
     def gap(x):
