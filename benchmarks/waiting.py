@@ -17,9 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.machine import machine
-from jaxalign.compilation import configure, probe
-
 __all__ = ["main"]
 
 HERE = Path(__file__).resolve().parents[1]
@@ -66,16 +63,18 @@ def cells(cost: Cost, before: Cost | None) -> str:
     return f"{cost.cpu:.2f} | {was} | {ratio} | {cost.wall:.2f} | {cost.memory:.0f}"
 
 
-def rejected(folder: Path) -> str:
-    """A sentence on whether this machine loads what it has stored."""
-    place = configure(folder)
-    if place is None:
-        return "Compiled programs are not kept here."
-    thread = probe.begin(place)
-    if thread is not None:
-        thread.join()
+def surroundings(folder: Path) -> list[str]:
+    """What it was measured on, and whether this machine loads what it has stored; last: JAX takes memory."""
+    from benchmarks.machine import machine
+    from jaxalign.compilation import probe
+
+    folder.mkdir()
+    probe.settle(folder)
     answer = {True: "are loaded again", False: "are REJECTED when they are loaded", None: "cannot be tried"}
-    return f"Programs stored on this machine {answer[probe.verdict(place)]}."
+    return [
+        f"Written by `python -m benchmarks.waiting` on {machine()}.",
+        f"Programs that are stored on this machine {answer[probe.verdict(folder)]}.",
+    ]
 
 
 def main() -> None:
@@ -103,18 +102,7 @@ def main() -> None:
             commands.append(("align HOURS", ("align", str(hours))))
         if options.study:
             commands.append(("study of `make run`", STUDY))
-        lines = [
-            "# What a person waits for",
-            "",
-            f"Written by `python -m benchmarks.waiting` on {machine()}.",
-            f"{rejected(folder / 'probe')}",
-            "",
-            f"The middle one of {options.repeats} runs. LOG: 300 s at 200 Hz, 301 epochs. Cold: nothing compiled is "
-            "stored. Before: the other checkout, in the same minutes.",
-            "",
-            "| command | | CPU s | before | ratio | wall s | peak MB |",
-            "|---|---|---|---|---|---|---|",
-        ]
+        lines: list[str] = []
         for name, arguments in commands:
             rows: dict[str, list[tuple[Cost, Cost | None]]] = {"cold": [], "warm": []}
             for repeat in range(1 if name in ("align HOURS", "study of `make run`") else options.repeats):
@@ -128,7 +116,18 @@ def main() -> None:
                 ]
                 lines.append(f"| `{name}` | {state} | {cells(cost, before)} |")
                 print(lines[-1], flush=True)
-    options.out.write_text("\n".join(lines) + "\n")
+        head = [
+            "# What a person waits for",
+            "",
+            *surroundings(folder / "probe"),
+            "",
+            f"The middle one of {options.repeats} runs. LOG: 300 s at 200 Hz, 301 epochs. Cold: nothing compiled is "
+            "stored. Before: the other checkout, in the same minutes.",
+            "",
+            "| command | | CPU s | before | ratio | wall s | peak MB |",
+            "|---|---|---|---|---|---|---|",
+        ]
+    options.out.write_text("\n".join([*head, *lines]) + "\n")
     print(f"wrote {options.out}")
 
 

@@ -20,6 +20,7 @@ from jaxalign.parameters import as_float64
 from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter, filtered_force
 from jaxalign.preintegrate import Increment, Scheme, preintegrate
+from jaxalign.preintegrate_host import joined, preintegrated
 from jaxalign.vector import Quat, Vec3
 
 __all__ = [
@@ -134,6 +135,18 @@ def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
     return Epoch(rows.rotation, rows.dvel, steps, safe, valid)
 
 
+def _host_rows(dtheta: np.ndarray, dvel: np.ndarray, dt: float, velocity: np.ndarray, every: int) -> Epoch:
+    """The same of recorded data by the scheme ``pairs``, on the host: nothing to compile."""
+    still = Increment(Quat(*np.eye(4)[:, :1]), Vec3(*np.zeros((3, 1))))
+    moved = joined([still, preintegrated(dtheta, dvel, every)])
+    steps = np.full(len(velocity), every * dt)
+    steps[0] = 0.0
+    valid = np.isfinite(velocity).all(axis=-1)
+    safe = Vec3(*np.where(valid, velocity.T, 0.0))
+    rows = Epoch(moved.rotation, moved.dvel, steps, safe, valid)  # pyright: ignore[reportArgumentType]
+    return jax.device_put(rows)
+
+
 _filtered = eqx.filter_jit(filtered_force)
 
 
@@ -198,7 +211,10 @@ def epochs_from_arrays(
         velocity = np.asarray(velocity)
     if len(velocity) != intervals + 1:
         raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {len(velocity)}")
-    rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
+    if scheme == "pairs" and all(isinstance(x, np.ndarray) for x in (dtheta, dvel, velocity)):
+        rows = _host_rows(dtheta, dvel, dt, velocity, every)  # pyright: ignore[reportArgumentType]
+    else:
+        rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
     return Epochs(rows, site, as_float64(aid_sd), aid, _digits(every * dt), prefilter is not None)
 
 

@@ -35,7 +35,7 @@ from jaxtyping import Array, Complex, Float
 
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
-__all__ = ["Increment", "Scheme", "integrated", "paired", "preintegrate"]
+__all__ = ["Increment", "Scheme", "integrated", "pair", "paired", "preintegrate", "single"]
 
 Scheme = Literal["pairs", "pairs_series", "lookback", "interval", "interval_plain"]
 
@@ -72,7 +72,8 @@ def _mean_rotated_series(rotvec: Vec3, v: Vec3) -> Vec3:
     return v + turned * 0.5 + rotvec.cross(turned) * (1 / 6)
 
 
-def _pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated, terms: int = 14) -> Increment:
+def pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated, terms: int = 14) -> Increment:
+    """Two samples (rad, m/s), with coning and sculling; for `terms` see :func:`paired`."""
     total = th1 + th2
     dvel = turned(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
     return Increment(Quat.turn(total + th1.cross(th2) * (2 / 3), terms=terms), dvel)
@@ -84,7 +85,8 @@ def _plain_pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
     return Increment(Quat.turn(th), dv + th.cross(dv) * 0.5 + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3))
 
 
-def _single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
+def single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
+    """One sample (rad, m/s) by itself and the one before it."""
     th_, dv_ = before
     dvel = mean_rotated(th, dv) + (th_.cross(dv) + dv_.cross(th)) * (1 / 12)
     return Increment(Quat.turn(th + th_.cross(th) * (1 / 12)), dvel)
@@ -139,7 +141,7 @@ def paired(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, terms: int = 14) -> Incre
         dv2: their velocity increments, m/s.
         terms: of the series of a turn; eight are exact to rounding for pairs that turn by less than a radian.
     """
-    return _compose(_pair(th1, dv1, th2, dv2, partial(mean_rotated, terms=terms), terms))
+    return _compose(pair(th1, dv1, th2, dv2, partial(mean_rotated, terms=terms), terms))
 
 
 def integrated(th: Vec3, dv: Vec3, turned: Any = mean_rotated) -> Increment:
@@ -156,11 +158,11 @@ def integrated(th: Vec3, dv: Vec3, turned: Any = mean_rotated) -> Increment:
 
     every = th.x.shape[0]
     even = every // 2 * 2
-    total = _compose(_pair(*take(0, even, 2), *take(1, even, 2), turned))
+    total = _compose(pair(*take(0, even, 2), *take(1, even, 2), turned))
     if even < every:
         before, last = take(every - 2, every - 1), take(every - 1, every)
         total = jax.tree.map(lambda x: x[None], total)
-        total = jax.tree.map(lambda x: x[0], total @ _single(before, *last))
+        total = jax.tree.map(lambda x: x[0], total @ single(before, *last))
     return total
 
 
@@ -202,7 +204,7 @@ def preintegrate(
         return jax.tree.map(shift, (th, dv))
 
     if scheme == "lookback" or (scheme.startswith("pairs") and every == 1):
-        return _compose(_single(lookback(), th, dv))
+        return _compose(single(lookback(), th, dv))
     if scheme.startswith("pairs"):
         return integrated(th, dv, mean_rotated if scheme == "pairs" else _mean_rotated_series)
     half = every // 2
@@ -211,5 +213,5 @@ def preintegrate(
     first, second = (
         jax.tree.map(lambda x, a=a, b=b: x[a:b].sum(axis=0), (th, dv)) for a, b in ((0, half), (half, every))
     )
-    whole = (_pair if scheme == "interval" else _plain_pair)(*first, *second)
+    whole = (pair if scheme == "interval" else _plain_pair)(*first, *second)
     return Increment(whole.rotation.unit(), whole.dvel)
