@@ -50,8 +50,8 @@ def _part(dtheta: np.ndarray, dvel: np.ndarray, every: int, first: int, stop: in
         total = single(before, samples(dtheta, 0), samples(dvel, 0))
         return _at(total, 0)
     even = every // 2 * 2
-    odd, after = ([samples(x, start, 2, even) for x in (dtheta, dvel)] for start in (0, 1))
-    total = pair(*odd, *after)
+    odd, after = ((samples(dtheta, k, 2, even), samples(dvel, k, 2, even)) for k in (0, 1))
+    total = pair(odd[0], odd[1], after[0], after[1])
     if even < every:
         before = samples(dtheta, every - 2, 1, every - 1), samples(dvel, every - 2, 1, every - 1)
         last = single(before, samples(dtheta, every - 1), samples(dvel, every - 1))

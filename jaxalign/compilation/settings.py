@@ -28,8 +28,8 @@ def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, f
 
     The store is bounded (512 MB, the longest unused goes first), safe with several processes at once, and for this
     user alone: who writes there could run code as the user, so a folder that others may write to is not used. Programs
-    are kept apart by processor, XLA flags and versions of JAX. On a new kind of machine they are written only, and as it
-    ends the process finds out whether they can be loaded there at all; where they cannot, nothing is kept.
+    are kept apart by processor, XLA flags and versions of JAX. On a new kind of machine they are written only, and as
+    it ends the process finds out whether they can be loaded there at all; where they cannot, nothing is kept.
 
     Args:
         cache: folder of the store; None: what the environment variable ``JAXALIGN_CACHE`` says (``off`` or a folder),
