@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WORKERS ?= 2
+# of pytest: make test-slow ARGS=--times
+ARGS ?=
 
 .PHONY: help run test test-times test-slow test-all lint types bench tables clean
 
@@ -31,13 +33,13 @@ run: $(STAMP)
 		--runs 1000 --out out/dvl-sturn --plot
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none $(ARGS)
 
-test-times: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none --times
+test-times: ARGS += --times
+test-times: test
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise less
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise less $(ARGS)
 
 test-all: test test-slow
 

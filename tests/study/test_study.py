@@ -147,16 +147,12 @@ def test_runs_without_an_attitude_are_counted():
 
 @pytest.mark.parametrize("record", ["dual_vector", pytest.param("fine", marks=pytest.mark.slow)])
 def test_standing_vehicle_and_methods_with_their_own_epochs(record):
-    made = scenario("sway", duration=40.0)
-    methods = {
-        "gravity_q": build("gravity_q"),
-        "velocity_q": build("velocity_q", "static", {"observe.interval_samples": 2}),
-        record: build(record),
-    }
-    found = run(Study(made, methods, runs=3, every=100))
+    made = scenario("disturbed", condition=1, duration=20.0)
+    methods = {"velocity_q": build("velocity_q", "static", {"observe.interval_samples": 2}), record: build(record)}
+    found = run(Study(made, methods, runs=2, every=100))
     assert set(found.methods) == set(methods)
     for m in found.methods.values():
-        np.testing.assert_allclose(m.time_s, [10, 20, 30, 40])
+        np.testing.assert_allclose(m.time_s, [10, 20])
         assert np.abs(m.end[:, :2]).max() < 0.5
 
 
