@@ -252,6 +252,8 @@ def run(
     except UserError as error:
         refusal = error
     if devices.agreed(np.array(refusal is not None)):
+        if store is not None:
+            store.close()
         raise refusal or UserError("process 0 has refused: see its message")
     for (first, stop), part in found.items():
         blocks = slice(first // study.block, -(-stop // study.block))

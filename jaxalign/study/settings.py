@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -106,8 +107,17 @@ class Study:
             "device": jax.local_devices()[0].device_kind,
             "block": self.block,
             "draw": DRAW,
+            "xla_flags": _flags(),
             **described(made),
         }
+
+
+def _flags() -> list[str]:
+    """How XLA compiles here, as far as the last bits depend on it: not on the number of devices."""
+    given = os.environ.get("XLA_FLAGS", "").split()
+    return sorted(
+        flag for flag in given if not flag.startswith(("--xla_force_host_platform_device_count", "--xla_dump"))
+    )
 
 
 def described(value: Any) -> Any:

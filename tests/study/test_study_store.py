@@ -102,6 +102,19 @@ def test_a_folder_in_use_is_refused(study, tmp_path):
         run(changed, out=tmp_path, resume=True)
 
 
+def test_other_flags_of_the_compiler_are_refused(study, tmp_path, monkeypatch):
+    """The last bits depend on them, but not on a number of devices."""
+    from jaxalign.study.store import Store
+
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
+    Store(tmp_path, study.settings, resume=False).close()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false --xla_force_host_platform_device_count=7")
+    Store(tmp_path, study.settings, resume=True).close()
+    monkeypatch.setenv("XLA_FLAGS", "")
+    with pytest.raises(UserError, match=r'other settings \(xla_flags was \["--xla_cpu_enable_fast_math=false"\], is'):
+        Store(tmp_path, study.settings, resume=True)
+
+
 @pytest.mark.parametrize("content", ["file", "json", "chunks", "results"])
 def test_a_folder_of_something_else_is_refused(study, tmp_path, content):
     folder = tmp_path / "there"
