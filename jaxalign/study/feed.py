@@ -22,6 +22,7 @@ __all__ = ["FIDELITIES", "Feed", "Fidelity", "World", "feed_of", "run_axes", "ru
 Fidelity = Literal["increments", "samples"]
 FIDELITIES = ("increments", "samples")
 _LEAST_SD = 1e-6  # m/s, of a perfect aid: methods divide by it
+_WIDE_LANES = 4096  # on a GPU: 40 MB an interval
 _FEW = 4  # runs that go one by one, their intervals side by side
 _INTEGRATED_LANES, _FILTERED_LANES = 64, 8  # runs side by side at IMU rate: an interval of each, or all 3 MB
 
@@ -102,7 +103,10 @@ def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Ep
     """A few runs at a time, whose samples fit into the cache (or, where they are filtered, into memory)."""
     whole = feed.prefilter is None and made.force is None and feed.samples > 1
     whole = whole and len(keys) > _FEW
-    most = (_INTEGRATED_LANES if whole else _FILTERED_LANES) if len(keys) > _FEW else 1
+    wide = jax.default_backend() != "cpu"  # no cache to fit into, and each kernel has its price
+    most = (
+        1 if len(keys) <= _FEW else _WIDE_LANES if whole and wide else _INTEGRATED_LANES if whole else _FILTERED_LANES
+    )
     lanes = max(n for n in range(1, min(most, len(keys)) + 1) if len(keys) % n == 0)
     groups = keys.reshape(-1, lanes)
 
