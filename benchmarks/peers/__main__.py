@@ -6,7 +6,6 @@ All in one go, on all cores; compile time apart. First it checks that the three 
 from __future__ import annotations
 
 import argparse
-import os
 import resource
 import subprocess
 import sys
@@ -20,7 +19,6 @@ import numpy as np
 
 from benchmarks.machine import peak_gb
 
-SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"  # as the command sets it
 RUNS = (1, 100, 1000, 10_000)
 EVERY = (10, 1)
 _SELF = resource.RUSAGE_SELF
@@ -175,8 +173,8 @@ def main() -> None:
         + ", ".join(f"{angle:.0e} rad ({name})" for name, angle in apart.items())
         + ".",
         "Ours and numba use all cores, the NumPy loop one. Smallest of three; compile time is apart. The numba loop",
-        "draws its normals by a ziggurat written for it (`ziggurat.py`), several times as fast as numba's own. Ours",
-        f"with the flag of XLA that the command line sets: `{SMALL_LOOPS}`.",
+        "draws its normals by a ziggurat written for it (`ziggurat.py`), several times as fast as numba's own.",
+        "Ours with the flag of XLA that the command line sets (`jaxalign.compilation`).",
         "",
         "| read-out | runs | what | compile s | wall ms per run | CPU ms per run | runs/s | numba's wall over it "
         "| numba's CPU over it | GB |",
@@ -190,11 +188,7 @@ def main() -> None:
                 if slow or (every == 1 and way in ("jaxalign, samples", "numba loop, numba's own normals")):
                     continue
                 command = [sys.executable, "-m", "benchmarks.peers", "--one", way, str(runs), str(every)]
-                flags = f"{os.environ.get('XLA_FLAGS', '')} {SMALL_LOOPS}"
-                got = subprocess.run(
-                    command, capture_output=True, text=True, check=True, env={**os.environ, "XLA_FLAGS": flags}
-                )
-                text = got.stdout
+                text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
                 rows[way] = [float(x) for x in text.split()]
                 print(way, runs, every, text.strip(), flush=True)
             for way, (compiled, wall, cpu, memory) in rows.items():
