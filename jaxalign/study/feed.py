@@ -185,7 +185,8 @@ def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity,
     if fidelity == "increments" and (feed.prefilter is not None or made.force is not None):
         what = "a prefilter looks" if feed.prefilter is not None else "a disturbance of the base acts"
         raise UserError(f"{what} at single IMU samples: choose the fidelity 'samples' (--fidelity samples)")
-    made = dataclasses.replace(made, aid=feed.aid)  # a standing vehicle has no use for its aid
+    if made.aid != feed.aid:  # a standing vehicle has no use for its aid
+        made = dataclasses.replace(made, aid=feed.aid)
     intervals = _intervals(exact, feed.samples) if fidelity == "increments" else None
     world = World(made, exact, feed, intervals, made.aid_sd)
     if feed.aid != "static" and float(made.aid_sd) > 0:
