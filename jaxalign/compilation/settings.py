@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jaxalign.compilation import folder, probe
-from jaxalign.compilation.flags import add_fast_loops
+from jaxalign.compilation.flags import add_fast_loops, add_quick_compilation
 
 __all__ = ["configure", "reloads"]
 
@@ -20,8 +20,8 @@ _LOG = logging.getLogger("jaxalign")
 _kept: Path | None = None
 
 
-def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, fast_loops: bool = True) -> Path | None:
-    """Keep compiled programs on disk between processes, and have XLA run small loops as one call on a CPU.
+def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, flags: bool = True) -> Path | None:
+    """Keep compiled programs on disk between processes, and have XLA compile quickly and run loops fast on a CPU.
 
     It changes settings of JAX and ``XLA_FLAGS`` for the whole process and its children: call it in a program, not in a
     library, and before JAX runs anything. Calling it again is harmless.
@@ -35,8 +35,8 @@ def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, f
         cache: folder of the store; None: what the environment variable ``JAXALIGN_CACHE`` says (``off`` or a folder),
             else ``jaxalign`` in the user's cache folder; False: none. A store that JAX has been given already is left
             alone.
-        fast_loops: whether to set the flag of the loops; without effect where JAX has run already, or the user has set
-            it. It changes results in the last bits.
+        flags: whether to set flags of XLA (small loops as one call, quick compilation); without effect where JAX has
+            run already, and none that the user has set. They change results in the last bits.
 
     Returns:
         The folder where programs are kept; None: nowhere. A folder that was asked for and cannot be used is told in one
@@ -45,8 +45,9 @@ def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, f
     import jax
 
     global _kept
-    if fast_loops and not _started():
+    if flags and not _started():
         add_fast_loops()
+        add_quick_compilation(version("jaxlib"))
     if cache is False:
         return None
     given = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
