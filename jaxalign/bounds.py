@@ -44,7 +44,7 @@ class Bound(eqx.Module):
 def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) -> Bound:
     one, count = jax.tree.map(lambda x: x[:, None], epochs.rows), len(epochs)
     q_nb = Quat.of(quat_from_dcm(exact.C_nb))
-    model = Model(imu, jnp.zeros(()), jnp.ones(()), jnp.zeros(0), jnp.zeros(0), (), "stated", epochs.aid)
+    model = Model(imu, jnp.zeros(()), jnp.ones(()), jnp.zeros(0), jnp.zeros(0), jnp.ones(()), (), "stated", epochs.aid)
     problem = Problem(one, epochs.site, sd, jnp.asarray([count - 1]))
     # Attitude and velocity in n0 need the turn of n, which follows the velocity in n: twice from an n at rest.
     q_n0n = jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), Quat.identity())

@@ -26,7 +26,7 @@ __all__ = ["LANES", "Found", "on_host", "padded", "traced"]
 
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
-_POLISH = 3  # steps that are differentiated, from the solution on
+_POLISH = 5  # steps that are differentiated, from the solution on
 
 
 class Found(NamedTuple):

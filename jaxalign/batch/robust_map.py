@@ -66,7 +66,9 @@ class RobustMap(eqx.Module):
         slow_time: after which it has renewed itself, s.
         starts: headings to start from. 1 (default): the one found without a guess. 4 for low-cost units, whose biases
             may hide the turn of the Earth: more than one heading may fit, and the covariance has them all in mind.
-        iterations: Gauss-Newton steps, at most 1000.
+        iterations: Gauss-Newton steps, at most; fewer where it has converged. Up to 1000.
+        tolerance: it has converged where a step moves it by less, in standard deviations, and the noise by less of
+            itself. Derivatives hold to about a hundred times as much.
         aid: that it observes.
         interval_samples: IMU samples per epoch; None: as the log has it.
 
@@ -87,7 +89,8 @@ class RobustMap(eqx.Module):
     slow_time: Float[Array, ""] = tunable(300.0, unit="s", bounds=(1.0, 1e6))
     calibrate: str = eqx.field(static=True, default="none")
     starts: int = eqx.field(static=True, default=1)
-    iterations: int = eqx.field(static=True, default=8)
+    iterations: int = eqx.field(static=True, default=12)
+    tolerance: float = eqx.field(static=True, default=1e-5)
     aid: Aid = eqx.field(static=True, default="body", metadata={"given": True})
     interval_samples: int | None = optional_count()
 
@@ -97,7 +100,9 @@ class RobustMap(eqx.Module):
         for name in ("starts", "iterations"):
             check_count(name, getattr(self, name))
         if self.iterations > _MOST_ITERATIONS:
-            raise UserError(f"iterations = {self.iterations}: at most {_MOST_ITERATIONS}; 8 do for nearly all logs")
+            raise UserError(f"iterations = {self.iterations}: at most {_MOST_ITERATIONS}; 12 do for nearly all logs")
+        if not 0 < self.tolerance < 1:
+            raise UserError(f"tolerance = {self.tolerance}: must be above 0 and below 1")
         parts = [] if self.calibrate == "none" else str(self.calibrate).split("+")
         if not set(parts) <= set(PARTS) or len(set(parts)) < len(parts):
             raise UserError(
@@ -125,8 +130,8 @@ class RobustMap(eqx.Module):
         names = tuple(self.unknown)
         sd = [x for name in names for x in known[name]]
         fade = [self.slow_time if name == "slow" else jnp.inf for name in names for _ in known[name]]
-        stack = _stacked(self)
-        return Model(self.imu, self.outliers, self.spread, stack(sd), stack(fade), names, self.noise, self.aid)
+        stack, limit = _stacked(self), np.float64(self.tolerance)
+        return Model(self.imu, self.outliers, self.spread, stack(sd), stack(fade), limit, names, self.noise, self.aid)
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method."""

@@ -17,7 +17,18 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Intervals
 
-__all__ = ["Filtered", "LinearProblem", "Prior", "Process", "filtered", "propagate", "smoothed", "transposed"]
+__all__ = [
+    "Filtered",
+    "LinearProblem",
+    "Prior",
+    "Process",
+    "Smoothed",
+    "filtered",
+    "propagate",
+    "shock",
+    "smoothed",
+    "transposed",
+]
 
 
 class Prior(eqx.Module):
@@ -208,30 +219,49 @@ def filtered(problem: LinearProblem, keep: bool = False) -> Filtered:
     return Filtered(mean, covariance, innovation, gain, last[2])
 
 
-def smoothed(problem: LinearProblem, found: Filtered) -> tuple[Float[Array, "K n L"], Float[Array, "K m L"]]:
-    """Backward and forward again.
+class Smoothed(eqx.Module):
+    """Errors, noise and the costate by all measurements.
 
-    Returns:
-        The errors at every epoch and the noise of each measurement by all measurements.
+    Attributes:
+        first: (n, L) errors before the first interval.
+        error: (K, n, L) at every epoch.
+        costate: (K, n, L) ``Q costate`` is what the noise of an interval has done.
+        before: (n, L) costate of the prior.
+        pull: (K, m, L) ``R pull`` is the noise of a measurement.
     """
+
+    first: Float[Array, "n L"]
+    error: Float[Array, "K n L"]
+    costate: Float[Array, "K n L"]
+    before: Float[Array, "n L"]
+    pull: Float[Array, "K m L"]
+
+
+def shock(process: Process, costate: Any) -> Any:
+    """``Q costate``, (n, L)."""
+    motion = _dot(_apart(process.motion, 1), _apart(costate[:6]))
+    return jnp.concatenate([motion, process.others * costate[6:]])
+
+
+def smoothed(problem: LinearProblem, found: Filtered) -> Smoothed:
+    """Backward and forward again."""
     process, prior = problem.process, problem.prior
 
     def backward(r: Any, row: Any) -> Any:
-        interval, process, slope, innovation, gain, variance = row
+        interval, process, slope, innovation, gain = row
         u = innovation - jnp.sum(gain * r[:, None], axis=0)
         r = r + jnp.sum(slope * u[:, None], axis=0)
-        motion = sum(process.motion[:, i] * r[i] for i in range(6))
-        shock = jnp.concatenate([motion, process.others * r[6:]])
-        return transposed(interval, process.fade, r), (shock, variance * u)
+        return transposed(interval, process.fade, r), (r, u)
 
-    rows = (problem.intervals, process, problem.slope, found.innovation, found.gain, problem.variance)
-    r, (shock, noise) = jax.lax.scan(backward, jnp.zeros_like(prior.mean), rows, reverse=True)
+    rows = (problem.intervals, process, problem.slope, found.innovation, found.gain)
+    before, (costate, pull) = jax.lax.scan(backward, jnp.zeros_like(prior.mean), rows, reverse=True)
 
     def forward(x: Any, row: Any) -> Any:
-        interval, fade, shock = row
-        x = propagate(interval, fade, x) + shock
+        interval, process, costate = row
+        x = propagate(interval, process.fade, x) + shock(process, costate)
         x = jnp.concatenate([x[:STATES] + interval.defect, x[STATES:]])
         return x, x
 
-    first = prior.mean + prior.variance * r
-    return jax.lax.scan(forward, first, (problem.intervals, process.fade, shock))[1], noise
+    first = prior.mean + prior.variance * before
+    error = jax.lax.scan(forward, first, (problem.intervals, process, costate))[1]
+    return Smoothed(first, error, costate, before, pull)

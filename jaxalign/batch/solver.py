@@ -17,7 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxalign.batch.fix import PARTS, fixes, parts_of
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.reweight import estimated, median_variance, outlier_odds, settled, weighed
-from jaxalign.batch.smoother import LinearProblem, Prior, Process, filtered, smoothed
+from jaxalign.batch.smoother import Filtered, LinearProblem, Prior, Process
+from jaxalign.batch.solve import solved
 from jaxalign.batch.start import Views, misfit, robust_start
 from jaxalign.batch.trajectory import (
     ACCEL,
@@ -41,7 +42,7 @@ LEAST_SD = 1e-6
 """m/s: noise of an aid below which none is believed."""
 _FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity, and nothing lost to rounding
 _LEAST = 1e-12  # weight
-_NEAR, _STILL = 1e-2, 1e-5  # standard deviations that a step moves a solution that is near, and one that has converged
+_NEAR = 1e-2  # standard deviations that a step moves a solution that is near
 
 
 class Model(eqx.Module):
@@ -53,6 +54,7 @@ class Model(eqx.Module):
         spread: standard deviation of outliers over that of the others.
         sd: (c,) or (c, L) standard deviations of the unknowns of the aid.
         fade_s: (c,) s: after so long an unknown has renewed itself; infinite for constants.
+        tolerance: what a step moves a solution that has converged, in standard deviations.
         unknown: their names.
         noise: how that of the aid is found.
         aid: its kind.
@@ -63,6 +65,7 @@ class Model(eqx.Module):
     spread: Any
     sd: Float[Array, c * L]
     fade_s: Float[Array, " c"]
+    tolerance: Float[Array, ""]
     unknown: tuple[str, ...] = eqx.field(static=True)
     noise: str = eqx.field(static=True)
     aid: str = eqx.field(static=True)
@@ -234,21 +237,23 @@ def step(model: Model, problem: Problem, state: State, late: Any, final: Any) ->
         steady = jax.tree.map(lambda a, b: jnp.where(final, a, b), state.settled, state.at.velocity)
         state = dataclasses.replace(state, settled=steady)
     linear = linearized(model, problem, state)
-    found = filtered(linear)
-    error, noise = smoothed(linear, found)
+    found, error, noise = solved(linear)
     used, stated = problem.used, jnp.maximum(problem.stated, LEAST_SD)
-    early = state.early & ~late
+    early = state.early & jnp.logical_not(late)
     median = jax.lax.cond(jnp.any(early), lambda: median_variance(noise, used, stated), lambda: state.variance)
     judged = jnp.where(early, median, state.variance)
     good, weight = weighed(noise, judged, used, model.outliers, model.spread)
     mean, times = estimated(noise, good, stated, model.noise)
     own = jnp.stack([found.covariance[i, i] for i in range(STATES)])
-    moved = jnp.max(jnp.abs(found.mean[:STATES]) / jnp.sqrt(own), axis=0)
+    last = _at(problem, error)
+    moved = jax.lax.stop_gradient(jnp.max(jnp.abs(last[:STATES]) / jnp.sqrt(own), axis=0))
+    changed = jax.lax.stop_gradient(jnp.abs(mean * times / (state.variance * state.times) - 1.0))
     constant = jnp.isinf(model.fade_s)[:, None]
     at, steady = state.at.moved(error), None
     if state.settled is not None:
         variances = linear.variance[:, 0]
-        left = jnp.sum(linear.slope * jnp.swapaxes(found.gain, 1, 2), axis=(1, 2)) * variances
+        gain = jax.lax.stop_gradient(jnp.swapaxes(found.gain, 1, 2))
+        left = jnp.sum(linear.slope * gain, axis=(1, 2)) * variances
         steady = settled(at.velocity, left, variances, used)
     new = State(
         at,
@@ -259,21 +264,30 @@ def step(model: Model, problem: Problem, state: State, late: Any, final: Any) ->
         jnp.where(early, 1.0, times),
         steady,
         early & (moved > _NEAR),
-        state.moving & (early | (moved > _STILL)),
+        state.moving & (early | state.early | (moved > model.tolerance) | (changed > model.tolerance)),
     )
     new = jax.tree.map(lambda a, b: jnp.where(state.moving, a, b), new, state)
     if state.settled is not None:
-        found = dataclasses.replace(found, mean=jnp.where(final, 0.0, found.mean))
-    return new, _read(model, problem, state, linear, found, noise)
+        last = jnp.where(final, 0.0, last)
+    return new, _read(model, problem, state, linear, found, last, _at(problem, noise))
 
 
-def _read(model: Model, problem: Problem, state: State, linear: LinearProblem, found: Any, noise: Any) -> Readout:
-    def at_last(x: Array) -> Array:
+def _at(problem: Problem, x: Any) -> Any:
+    """The values (K, ..., L) of a tree at the last epoch that counts."""
+
+    def one(x: Array) -> Array:
         index = problem.last.reshape(1, *[1] * (x.ndim - 2), -1)
         return jnp.take_along_axis(x, jnp.broadcast_to(index, (1, *x.shape[1:])), axis=0)[0]
 
-    at, q_n0n = jax.tree.map(at_last, (state.at, linear.intervals.q_n0n))
-    error, covariance = found.mean, found.covariance
+    return jax.tree.map(one, x)
+
+
+def _read(
+    model: Model, problem: Problem, state: State, linear: LinearProblem, found: Filtered, error: Any, noise: Any
+) -> Readout:
+    """The solution from the last errors and the last noise; its covariance and likelihood from the filter."""
+    at, q_n0n, used, weight = _at(problem, (state.at, linear.intervals.q_n0n, problem.used, state.weight))
+    covariance = found.covariance
     q_n0b = (by_tilt(Vec3(*error[TILT])) * at.attitude).unit()
     q = (q_n0n.conjugate() * q_n0b).unit()
     turn = q_n0n.matrix
@@ -292,7 +306,7 @@ def _read(model: Model, problem: Problem, state: State, linear: LinearProblem, f
         state.unknowns + error[STATES:],
         covariance,
         likelihood,
-        at_last(noise),
-        jnp.where(at_last(problem.used), at_last(state.weight), 0.0),
+        noise,
+        jnp.where(used, weight, 0.0),
         jnp.sqrt(state.variance * state.times),
     )

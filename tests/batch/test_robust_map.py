@@ -252,7 +252,7 @@ def test_noise_that_neighbours_share_is_counted():
 
 @pytest.mark.slow
 def test_gradients_are_finite_and_right():
-    method = RobustMap()
+    method = RobustMap(tolerance=1e-9, iterations=60)
     epochs = epochs_from_log(simulate("dvl-sturn", seed=2, outliers="fixed", duration=100.0))
     paths = ["imu.gyro_bias_deg_h", "imu.gyro_walk_deg_sqrt_h", "outliers", "spread"]
     at = jnp.array([float(parameters(method)[p]) for p in paths])

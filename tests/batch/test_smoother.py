@@ -12,6 +12,7 @@ from jaxalign.batch import ImuErrors
 from jaxalign.batch.fix import PARTS, fixes
 from jaxalign.batch.reweight import lower_median
 from jaxalign.batch.smoother import Prior, filtered, propagate, smoothed, transposed
+from jaxalign.batch.solve import solved
 from jaxalign.batch.solver import Model, Problem, State, linearized
 from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Trajectory, mechanized
 from jaxalign.simulate import simulate
@@ -48,7 +49,7 @@ def problem(short, unknown=()):
     sd = jnp.linspace(0.01, 0.3, sum(sizes))
     fade = jnp.asarray([20.0 if name == "slow" else jnp.inf for name in unknown for _ in range(PARTS[name])])
     imu = ImuErrors(*(jnp.asarray(x) for x in (10.0, 2.0, 500.0, 3000.0)))
-    model = Model(imu, jnp.asarray(0.05), jnp.asarray(30.0), sd, fade, unknown, "stated", "body")
+    model = Model(imu, jnp.asarray(0.05), jnp.asarray(30.0), sd, fade, jnp.asarray(1e-5), unknown, "stated", "body")
     rows = dataclasses.replace(rows, valid=rows.valid.at[4].set(False))
     some = Problem(rows, epochs.site, jnp.asarray(0.1), jnp.asarray([EPOCHS - 1, EPOCHS - 4]))
     weight = jnp.linspace(0.05, 1.0, 2 * EPOCHS).reshape(EPOCHS, 2)
@@ -110,7 +111,7 @@ def dense(linear, lane):
 def test_smoother_is_the_dense_solution(short, unknown):
     linear = problem(short, unknown)
     found = jax.jit(filtered)(linear)
-    error, noise = jax.jit(smoothed)(linear, found)
+    _, error, noise = jax.jit(solved)(linear)
     for lane in range(2):
         solution, covariance, history, density = dense(linear, lane)
         whole, inputs = history[-1]
@@ -223,3 +224,29 @@ def test_median():
         ordered = np.sort(x[used[:, lane], lane])
         np.testing.assert_allclose(found[lane], ordered[(len(ordered) - 1) // 2], rtol=1e-7)
     assert found[3] == 0
+
+
+@pytest.mark.parametrize("unknown", [(), ALL])
+def test_derivatives_of_the_solution_are_those_through_the_filter(short, unknown):
+    """Every number of the system moved at once: the response against differentiating filter and smoother."""
+    linear = problem(short, unknown)
+    rng = np.random.default_rng(2)
+
+    def some(x):
+        if x.dtype == bool:
+            return np.zeros(x.shape, jax.dtypes.float0)
+        return jnp.asarray(0.1 * np.abs(np.asarray(x)) * rng.normal(size=x.shape))
+
+    moved = jax.tree.map(some, linear)
+    motion = moved.process.motion + jnp.swapaxes(moved.process.motion, 1, 2)
+    moved = dataclasses.replace(moved, process=dataclasses.replace(moved.process, motion=motion))
+
+    def plain(linear):
+        at = smoothed(linear, filtered(linear))
+        return at.error, linear.variance * at.pull
+
+    _, said = jax.jit(lambda a, b: jax.jvp(lambda x: solved(x)[1:], (a,), (b,)))(linear, moved)
+    _, through = jax.jit(lambda a, b: jax.jvp(plain, (a,), (b,)))(linear, moved)
+    for ours, theirs in zip(said, through, strict=True):
+        scale = np.abs(theirs).max(axis=(0, 2), keepdims=True)
+        np.testing.assert_allclose(ours / scale, theirs / scale, atol=1e-7)
