@@ -9,13 +9,13 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
@@ -24,8 +24,9 @@ from benchmarks.machine import machine  # noqa: E402
 from jaxalign.batch import ImuErrors, RobustMap  # noqa: E402
 from jaxalign.methods import build  # noqa: E402
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth  # noqa: E402
+from jaxalign.tune.objective import taken  # noqa: E402
 
-RUNS, LANES, READOUTS = 1000, 50, 5
+RUNS, READOUTS = 1000, 5
 SCENARIO = "dvl-sturn"
 OTHERS = ("oba", "centred_oba", "revising_oba")
 GRADIENTS = 100
@@ -50,22 +51,25 @@ def main() -> None:
     made = scenario(SCENARIO, outliers="fixed")
     intervals = intervals_of(truth(made), made.aid_every)
     devices = jax.devices()
-    runs = options.runs // (LANES * len(devices)) * LANES * len(devices)
+    runs = options.runs // len(devices) * len(devices)
     keys = jax.random.split(jax.random.key(0), runs)
-    epochs = jax.block_until_ready(jax.jit(jax.vmap(lambda key: measure_epochs(intervals, made, key)))(keys))
+    epochs = jax.block_until_ready(jax.jit(lambda keys: measure_epochs(intervals, made, keys))(keys))
     every = made.epochs // READOUTS
     robust = RobustMap(imu=ImuErrors.of(made))
 
     def solver(method: Any, count: int) -> Callable[[], Any]:
-        mesh = Mesh(np.array(devices[:count]), ("runs",))
-        spec = PartitionSpec("runs")
+        share = runs // count
+        parts = [
+            jax.device_put(taken(epochs, np.arange(i * share, (i + 1) * share)), device)
+            for i, device in enumerate(devices[:count])
+        ]
+        whole = jax.jit(lambda part: method.solve_runs(part, every).q_nb)
 
-        def some(part: Any) -> Any:
-            return jax.lax.map(lambda e: method.solve(e, every).q_nb, part, batch_size=LANES)
+        def together() -> Any:
+            with ThreadPoolExecutor(count) as pool:
+                return list(pool.map(lambda part: jax.block_until_ready(whole(part)), parts))
 
-        whole = jax.jit(jax.shard_map(some, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
-        placed = jax.device_put(epochs, jax.sharding.NamedSharding(mesh, spec))
-        return lambda: whole(placed)
+        return together
 
     lines = [
         "# The batch estimator",
@@ -73,7 +77,7 @@ def main() -> None:
         f"Written by `python -m benchmarks.robust_map` on {machine()}.",
         "",
         f"{runs} runs of {SCENARIO} ({made.epochs} epochs, 2 % outliers) in one call, read out at 0, {every}, ... "
-        f"{made.epochs}: {READOUTS} attitudes each and the start; {LANES} runs at a time. Smallest of 2 calls.",
+        f"{made.epochs}: {READOUTS} attitudes each and the start. Smallest of 2 calls.",
         "",
         "| method | cores | compile s | run s | ms per run | over oba |",
         "|---|---|---|---|---|---|",
@@ -87,19 +91,17 @@ def main() -> None:
             lines.append(f"| {label} | {count} | {cells} |")
             print(lines[-1], flush=True)
 
-    few = jax.tree.map(lambda x: x[:GRADIENTS], epochs)
+    few = taken(epochs, np.arange(GRADIENTS))
     direction = jnp.array([0.3, -0.5, 1.0])
 
-    def loss(numbers: Any, one: Any) -> Any:
-        imu = ImuErrors(*numbers)
-        found = RobustMap(imu=imu).until(one, views_of(one), len(one.rows.dt) - 1)
-        return jnp.dot(direction, found.q_nb[1:]) ** 2
+    def loss(numbers: Any) -> Any:
+        found = RobustMap(imu=ImuErrors(*numbers)).solve_runs(few, np.array([made.epochs]))
+        return jnp.sum((found.q_nb[:, 0, 1:] @ direction) ** 2)
 
     numbers = jnp.array([float(x) for x in jax.tree.leaves(robust.imu)])
-    value = jax.jit(lambda: jax.lax.map(lambda e: loss(numbers, e), few, batch_size=LANES))
-    slope = jax.jit(lambda: jax.lax.map(lambda e: jax.grad(loss)(numbers, e), few, batch_size=LANES))
-    (_, plain), (first, reverse) = timed(value), timed(slope)
-    finite = bool(jnp.all(jnp.isfinite(slope())))
+    value, slope = jax.jit(loss), jax.jit(jax.grad(loss))
+    (_, plain), (first, reverse) = timed(lambda: value(numbers)), timed(lambda: slope(numbers))
+    finite = bool(jnp.all(jnp.isfinite(slope(numbers))))
     lines += [
         "",
         f"Reverse mode, {GRADIENTS} runs, one attitude at the end, by the four figures of the inertial unit: "
@@ -110,13 +112,6 @@ def main() -> None:
     options.out.write_text("\n".join(lines))
     print(lines[-2])
     print(f"wrote {options.out}")
-
-
-def views_of(epochs: Any) -> Any:
-    """What the start needs."""
-    from jaxalign.batch.start import views
-
-    return views(epochs)
 
 
 if __name__ == "__main__":

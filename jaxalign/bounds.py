@@ -51,8 +51,8 @@ def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) ->
     still, yes = jnp.zeros((count, 1)), jnp.ones(1, bool)
     for _ in range(4):
         velocity = q_n0n.rotate(Vec3.of(exact.velocity_n))
-        *lanes, n = jax.tree.map(lambda x: x[:, None], (q_n0n * q_nb, velocity, q_n0n))
-        at = Trajectory(*lanes, Vec3(still, still, still), Vec3(still, still, still))
+        q, v, n = jax.tree.map(lambda x: x[:, None], (q_n0n * q_nb, velocity, q_n0n))
+        at = Trajectory(q, v, Vec3(still, still, still), Vec3(still, still, still))
         steady = at.velocity if epochs.aid == "nav" else None
         state = State(
             at, n, jnp.zeros((0, 1)), jnp.ones((count, 1)), jnp.ones(1) * sd**2, jnp.ones(1), steady, yes, yes
