@@ -70,6 +70,12 @@ def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) ->
     return Bound(jnp.cumsum(epochs.rows.dt), *(jnp.rad2deg(jnp.sqrt(x)) for x in (phi, euler)))
 
 
+@eqx.filter_jit
+def _measured(exact: Truth, scenario: Scenario) -> Epochs:
+    """What perfect sensors measure."""
+    return measure_epochs(intervals_of(exact, scenario.aid_every), noiseless(scenario), jax.random.key(0))
+
+
 def _biases(imu: ImuErrors) -> tuple[Any, Any]:
     return jnp.full(3, 1.0) * imu.gyro_bias, jnp.full(3, 1.0) * imu.accel_bias
 
@@ -93,7 +99,7 @@ def bound(scenario: Scenario, exact: Truth | None = None) -> Bound:
     if scenario.force is not None:
         raise UserError(f"{scenario.name}: the disturbance of its base is not white noise: there is no bound for it")
     exact = truth(scenario) if exact is None else exact
-    epochs = measure_epochs(intervals_of(exact, scenario.aid_every), noiseless(scenario), jax.random.key(0))
+    epochs = _measured(exact, scenario)
     standing = scenario.aid == "static"
     sd = _EXACT if standing else jnp.maximum(scenario.aid_sd, _EXACT)
     return _bound(epochs, exact, ImuErrors.of(scenario), sd, standing)

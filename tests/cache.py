@@ -1,36 +1,31 @@
-"""Compiled programs kept in a folder: both workers share them, and the next run has them."""
+"""Compiled programs kept in a folder: both workers and commands share them, and the next run has them."""
 
 import os
+import subprocess
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-FOLDER = Path(__file__).resolve().parents[1] / ".pytest_cache" / "compiled"
-MOST_BYTES = 2e9
-SETTINGS = {
-    "jax_compilation_cache_dir": str(FOLDER),
-    "jax_persistent_cache_min_compile_time_secs": 0.1,
-    "jax_persistent_cache_min_entry_size_bytes": -1,
-}
+FOLDER = str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "compiled")
+# Imported late: the shapes of what is imported before the hook of conftest.py are not checked.
+START = "from jaxalign.compilation import configure; configure(flags=False); import jax; jax.devices()"
+
+
+def tried(flags: str) -> bool:
+    """Whether XLA starts with these flags; the process also finds out whether what it stores can be loaded here."""
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAXALIGN_CACHE": FOLDER}
+    return subprocess.run([sys.executable, "-c", START], env=environment, capture_output=True).returncode == 0
 
 
 def use() -> None:
-    """In this process and in those that it starts."""
-    for name, value in SETTINGS.items():
-        os.environ[name.upper()] = str(value)
-        jax.config.update(name, value)
+    """In this process and in the commands that it starts."""
+    from jaxalign.compilation import configure
 
-
-def prune() -> None:
-    """Away with the oldest programs, where there are too many."""
-    files = sorted(FOLDER.glob("*"), key=lambda path: -path.stat().st_mtime)
-    total = 0
-    for path in files:
-        total += path.stat().st_size
-        if total > MOST_BYTES:
-            path.unlink()
+    os.environ["JAXALIGN_CACHE"] = FOLDER
+    configure(flags=False)
 
 
 @contextmanager
@@ -38,7 +33,7 @@ def unused():
     """For tests of the last bits, and of compilation itself."""
 
     def enabled(value: bool) -> None:
-        os.environ["JAX_ENABLE_COMPILATION_CACHE"] = str(value).lower()
+        os.environ["JAXALIGN_CACHE"] = FOLDER if value else "off"
         jax.config.update("jax_enable_compilation_cache", value)
         compilation_cache.reset_cache()
 

@@ -1,7 +1,5 @@
 import itertools
 import os
-import subprocess
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -37,13 +35,10 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    flags = OPTIMISE[config.getoption("optimise")]
-    if flags and "XLA_FLAGS" not in os.environ:  # workers and commands inherit them
-        probe = [sys.executable, "-c", "import jax; jax.devices()"]  # XLA aborts on a flag that it does not know
-        if subprocess.run(probe, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True).returncode == 0:
-            os.environ["XLA_FLAGS"] = flags
     if not hasattr(config, "workerinput"):
-        cache.prune()
+        flags = os.environ.get("XLA_FLAGS") or OPTIMISE[config.getoption("optimise")]
+        if cache.tried(flags):  # XLA aborts on a flag that it does not know
+            os.environ["XLA_FLAGS"] = flags  # workers and commands inherit them
     cache.use()
     if config.getoption("times"):
         config.pluginmanager.register(Times())

@@ -2,9 +2,12 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
+from jaxalign.rotation import attitude_error, quat_from_dcm
 from jaxalign.simulate.faults import FixedOutliers
 
 
@@ -26,3 +29,9 @@ def outlying(made, share):
     factor = 300.0 if made.aid == "body" else 200.0
     faults = (FixedOutliers(share, factor, False, "random"),) if share else ()
     return dataclasses.replace(made, faults=faults)
+
+
+@jax.jit
+def phi_deg(q, dcm):
+    """Attitude errors of many runs (runs, rows, 4) against the truth of their rows (rows, 3, 3)."""
+    return jnp.rad2deg(attitude_error(q, jnp.broadcast_to(quat_from_dcm(dcm), q.shape)))

@@ -1,12 +1,12 @@
 """The batch estimator over many runs: its errors on the bound, its deviations covering them."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from statistical import outlying
+from statistical import outlying, phi_deg
 
-from jaxalign import rotation
 from jaxalign.batch import ImuErrors, RobustMap
 from jaxalign.bounds import bound
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth
@@ -15,21 +15,16 @@ from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth
 def errors(made, method, runs, every, seed=7):
     """Errors (deg), stated deviations and the bound at the read-outs after the first."""
     exact = truth(made)
-    intervals = intervals_of(exact, made.aid_every)
-
-    @jax.jit
-    def solve(keys):
-        def one(key):
-            found = method.solve(measure_epochs(intervals, made, key), every)
-            return found.q_nb, found.sd
-
-        return jax.lax.map(one, keys, batch_size=32)
-
-    q, sd = solve(jax.random.split(jax.random.key(seed), runs))
     rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])[1:]
-    reference = jnp.broadcast_to(rotation.quat_from_dcm(exact.C_nb[rows]), q[:, 1:].shape)
-    phi = np.rad2deg(rotation.attitude_error(q[:, 1:], reference))
-    return np.asarray(phi), np.rad2deg(sd[:, 1:]), np.asarray(bound(made, exact).phi_deg)[rows]
+
+    @eqx.filter_jit
+    def solve(made, exact, keys):
+        epochs = measure_epochs(intervals_of(exact, made.aid_every), made, keys)
+        found = method.solve_runs(epochs, rows)
+        return found.q_nb, jnp.rad2deg(found.sd)
+
+    q, sd = solve(made, exact, jax.random.split(jax.random.key(seed), runs))
+    return np.asarray(phi_deg(q, exact.C_nb[rows])), np.asarray(sd), np.asarray(bound(made, exact).phi_deg)[rows]
 
 
 def on_the_bound(made, runs, every, most):

@@ -1,24 +1,30 @@
 """The algebra of the batch estimator: the recursion against a dense solution, its model against mechanization."""
 
 import dataclasses
+import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxalign import Quat, Vec3, epochs_from_log, rotation
-from jaxalign.batch import ImuErrors
-from jaxalign.batch.fix import PARTS, fixes
+from jaxalign.batch import ImuErrors, fix, smoother, solver, trajectory
+from jaxalign.batch.fix import PARTS
 from jaxalign.batch.reweight import lower_median
-from jaxalign.batch.smoother import Prior, filtered, propagate, smoothed, transposed
+from jaxalign.batch.smoother import Prior, propagate, transposed
 from jaxalign.batch.solve import solved
-from jaxalign.batch.solver import Model, Problem, State, linearized
-from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Trajectory, mechanized
+from jaxalign.batch.solver import Model, Problem, State
+from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Trajectory
 from jaxalign.simulate import simulate
 
 EPOCHS = 13
 ALL = ("mounting", "latency", "lever", "slow")
+# One program instead of one for each of their operations.
+filtered, linearized, mechanized, fixes = (
+    eqx.filter_jit(f) for f in (smoother.filtered, solver.linearized, trajectory.mechanized, fix.fixes)
+)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +48,13 @@ def short():
     return epochs, at, q_n0n, jax.tree.map(lambda x: x[:, None], epochs.rows)
 
 
-def problem(short, unknown=()):
+@pytest.fixture(scope="module")
+def problem(short):
+    """Of each set of unknowns once."""
+    return functools.cache(lambda unknown=(): made(short, unknown))
+
+
+def made(short, unknown):
     """With the second lane ending three epochs earlier, a fix missing, and a wander of the biases."""
     epochs, at, q_n0n, rows = short
     sizes = [PARTS[name] for name in unknown]
@@ -63,6 +75,13 @@ def problem(short, unknown=()):
     return dataclasses.replace(linear, prior=Prior(linear.prior.mean, variance), process=process)
 
 
+@jax.jit
+@jax.vmap
+def transitions(row, fade):
+    """The matrix that each interval multiplies the errors with: one lane is a column."""
+    return propagate(row, fade, jnp.eye(STATES + len(fade)))
+
+
 def dense(linear, lane):
     """All unknowns in one normal matrix: the start, and the noise of each interval and state.
 
@@ -80,14 +99,12 @@ def dense(linear, lane):
     covariance[:n, :n] = np.diag(take.prior.variance[:, 0])
     mean = np.zeros(size)
     mean[:n] = take.prior.mean[:, 0]
+    transition = np.asarray(transitions(take.intervals, take.process.fade))
     history, h, y, r = [], [], [], []
     for k in range(count):
-        row, fade = jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), (take.intervals, take.process.fade))
         if k:
-            columns = [np.asarray(propagate(row, fade, jnp.asarray(c)[:, None]))[:, 0] for c in whole.T]
-            whole = np.stack(columns, axis=1)
-            inputs = np.array(propagate(row, fade, jnp.asarray(inputs)))
-            inputs[:STATES] += np.asarray(row.defect)
+            whole, inputs = transition[k] @ whole, transition[k] @ inputs
+            inputs[:STATES] += take.intervals.defect[k]
             here = slice(n * k, n * (k + 1))
             whole[:, here] += np.eye(n)
             noise = np.diag(np.concatenate([np.zeros(6), take.process.others[k, :, 0]]))
@@ -108,10 +125,11 @@ def dense(linear, lane):
 
 
 @pytest.mark.parametrize("unknown", [(), ALL])
-def test_smoother_is_the_dense_solution(short, unknown):
-    linear = problem(short, unknown)
-    found = jax.jit(filtered)(linear)
+def test_smoother_is_the_dense_solution(problem, unknown):
+    linear = problem(unknown)
+    found = filtered(linear)
     _, error, noise = jax.jit(solved)(linear)
+    used, gap, slope = (np.asarray(x) for x in (linear.used, linear.gap, linear.slope))
     for lane in range(2):
         solution, covariance, history, density = dense(linear, lane)
         whole, inputs = history[-1]
@@ -122,25 +140,35 @@ def test_smoother_is_the_dense_solution(short, unknown):
         for k, (whole, inputs) in enumerate(history):
             x = whole @ solution + inputs
             np.testing.assert_allclose(error[k, :, lane], x, rtol=1e-6, atol=1e-9)
-            if linear.used[k, lane]:
-                expected = linear.gap[k, :, lane] - linear.slope[k, :, :, lane] @ x
+            if used[k, lane]:
+                expected = gap[k, :, lane] - slope[k, :, :, lane] @ x
                 np.testing.assert_allclose(noise[k, :, lane], expected, rtol=1e-6, atol=1e-9)
 
 
-def test_all_epochs_are_kept_where_that_is_wished(short):
-    linear = problem(short)
+def test_all_epochs_are_kept_where_that_is_wished(problem):
+    linear = problem()
     kept, last = filtered(linear, keep=True), filtered(linear)
     np.testing.assert_allclose(kept.mean[-1], last.mean, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(kept.covariance[-1], last.covariance, rtol=1e-9, atol=1e-18)
     assert kept.covariance.shape == (EPOCHS, STATES, STATES, 2)
 
 
-def test_the_transpose(short):
-    linear = problem(short, ALL)
+def test_the_transpose(problem):
+    linear = problem(ALL)
     row, fade = jax.tree.map(lambda x: x[5], (linear.intervals, linear.process.fade))
     x, r = np.random.default_rng(0).normal(size=(2, STATES + 11, 2))
-    there, back = propagate(row, fade, jnp.asarray(x)), transposed(row, fade, jnp.asarray(r))
+    there, back = jax.jit(lambda *of: (propagate(*of, x), transposed(*of, r)))(row, fade)
     np.testing.assert_allclose(np.sum(r * there, axis=0), np.sum(x * back, axis=0), rtol=1e-12)
+
+
+@jax.jit
+def propagated(intervals, error):
+    """Errors after the intervals (the first has none) from those before them, (K - 1, n, L)."""
+    rows = jax.tree.map(lambda x: x[1:], intervals)
+    return jax.vmap(lambda row, x: propagate(row, jnp.zeros((0, 1)), x))(rows, error)
+
+
+moved_by = jax.jit(Trajectory.moved)
 
 
 @pytest.mark.parametrize(("kind", "size"), [(0, 1e-6), (1, 1e-5), (2, 1e-8), (3, 1e-6)])
@@ -151,38 +179,35 @@ def test_errors_pass_on_as_mechanization_has_them(short, kind, size):
     base = mechanized(rows, epochs.site, at, q_n0n, on)
     changes, said = [], []
     for axis in range(3):
-        error = jnp.zeros((EPOCHS, STATES, 2)).at[::2, 3 * kind + axis].set(size)
-        moved = mechanized(rows, epochs.site, at.moved(error), q_n0n, on)
-        changes.append(np.asarray(moved.defect - base.defect)[1:])
-        before = jnp.moveaxis(error[:-1], 0, -1).reshape(STATES, -1)
-        flat = jax.tree.map(lambda x: jnp.moveaxis(x[1:], 0, -1).reshape(*x.shape[1:-1], -1), base)
-        after = propagate(flat, jnp.zeros((0, 1)), before).reshape(STATES, 2, EPOCHS - 1)
-        said.append(np.moveaxis(np.asarray(after), -1, 0) - np.asarray(error[1:]))
+        error = np.zeros((EPOCHS, STATES, 2))
+        error[::2, 3 * kind + axis] = size
+        moved = mechanized(rows, epochs.site, moved_by(at, error), q_n0n, on)
+        changes.append((np.asarray(moved.defect) - base.defect)[1:])
+        said.append(np.asarray(propagated(base, error[:-1])) - error[1:])
     changes, said = np.array(changes), np.array(said)
     for part in (TILT, VELOCITY, GYRO, ACCEL):
         most = np.abs(said[:, :, part]).max()
         np.testing.assert_allclose(changes[:, :, part], said[:, :, part], rtol=0, atol=1e-2 * most + 1e-12)
 
 
-def test_turned_about_the_vertical_nothing_but_the_heading_changes(short):
+def test_turned_about_the_vertical_nothing_but_the_heading_changes(short, problem):
     """Velocities and attitudes turned together: a body aid sees no change, the defects keep their size, to first order.
 
     That is what keeps noise from telling a heading: the change of the errors is an exact solution of the linear
     problem but for the Earth's rotation.
     """
-    linear = problem(short)
+    linear = problem()
     _, at, _, _ = short
-    v = jnp.stack([at.velocity.x, at.velocity.y, at.velocity.z], axis=1)
-    error = jnp.zeros((EPOCHS, STATES, 2)).at[:, 2].set(1.0)
-    error = error.at[:, 3].set(-v[:, 1]).at[:, 4].set(v[:, 0])
+    v = np.stack([at.velocity.x, at.velocity.y, at.velocity.z], axis=1)
+    error = np.zeros((EPOCHS, STATES, 2))
+    error[:, 2], error[:, 3], error[:, 4] = 1.0, -v[:, 1], v[:, 0]
     still = dataclasses.replace(linear.intervals, spin=0.0 * linear.intervals.spin)
-    for k in range(1, EPOCHS):
-        row = jax.tree.map(lambda x, k=k: x[k], still)
-        there = propagate(row, jnp.zeros((0, 1)), error[k - 1])
-        fallen = v[k] - v[k - 1] - row.gained  # gravity and Coriolis' term, which do not turn
-        there = there.at[3:5].add(jnp.stack([-fallen[1], fallen[0]]))
-        np.testing.assert_allclose(there, error[k], atol=1e-9)
-    seen = jnp.einsum("kmnl,knl->kml", linear.slope, error)
+    there = np.array(propagated(still, error[:-1]))
+    fallen = v[1:] - v[:-1] - np.asarray(still.gained)[1:]  # gravity and Coriolis' term, which do not turn
+    there[:, 3] -= fallen[:, 1]
+    there[:, 4] += fallen[:, 0]
+    np.testing.assert_allclose(there, error[1:], atol=1e-9)
+    seen = np.einsum("kmnl,knl->kml", linear.slope, error)
     np.testing.assert_allclose(seen, 0.0, atol=1e-9)
 
 
@@ -191,35 +216,36 @@ def test_slopes_of_the_aids_unknowns(short, unknown):
     """The gap changes as the slope says, exactly: all are linear."""
     epochs, at, q_n0n, rows = short
     intervals = mechanized(rows, epochs.site, at, q_n0n, jnp.ones((EPOCHS, 2), bool))
-    value = jnp.arange(1.0, 1.0 + PARTS[unknown])[:, None] / 3 * jnp.ones(2)
+    value = np.arange(1.0, 1.0 + PARTS[unknown])[:, None] / 3 * np.ones(2)
 
     def gap(x):
         used = rows.valid & jnp.ones((1, 2), bool)
         return fixes(at, intervals.q_n0n, intervals.dt, rows.velocity, used, "nav", {unknown: x * value})
 
     zero, there = gap(0.0), gap(1.0)
-    slope = jnp.einsum("kmcl,cl->kml", zero.slope[:, :, STATES:], value)
+    slope = np.einsum("kmcl,cl->kml", np.asarray(zero.slope)[:, :, STATES:], value)
     if unknown == "slow":  # it is no part of the trajectory
         np.testing.assert_allclose(np.linalg.norm(slope, axis=1), np.linalg.norm(value[:, 0]), rtol=1e-12)
     else:
-        np.testing.assert_allclose(zero.gap - there.gap, slope, atol=1e-13)
+        np.testing.assert_allclose(np.asarray(zero.gap) - there.gap, slope, atol=1e-13)
     assert np.abs(slope).max() > 1e-4
 
 
-def test_a_bias_that_is_not_known_leaves_its_prior(short):
+def test_a_bias_that_is_not_known_leaves_its_prior(problem):
     """Nothing used: the filter hands on what it was given."""
-    linear = problem(short)
+    linear = problem()
     nothing = dataclasses.replace(linear, slope=0.0 * linear.slope, gap=0.0 * linear.gap)
     found = filtered(nothing)
-    np.testing.assert_allclose(found.mean[GYRO], linear.prior.mean[GYRO] + jnp.sum(linear.intervals.defect, 0)[GYRO])
-    assert (found.gain == 0).all()
+    defects = np.sum(linear.intervals.defect, axis=0)
+    np.testing.assert_allclose(found.mean[GYRO], linear.prior.mean[GYRO] + defects[GYRO])
+    assert (np.asarray(found.gain) == 0).all()
 
 
 def test_median():
     rng = np.random.default_rng(0)
     x, used = rng.random((101, 4)) ** 3, rng.random((101, 4)) < 0.5
     used[:, 3] = False
-    found = lower_median(jnp.asarray(x), jnp.asarray(used))
+    found = jax.jit(lower_median)(x, used)
     for lane in range(3):
         ordered = np.sort(x[used[:, lane], lane])
         np.testing.assert_allclose(found[lane], ordered[(len(ordered) - 1) // 2], rtol=1e-7)

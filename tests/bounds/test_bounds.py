@@ -3,7 +3,6 @@
 import dataclasses
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from frozen import case
@@ -60,16 +59,16 @@ def test_gyro_bias_bounds_a_vehicle_at_rest():
 
 
 def test_more_noise_and_fewer_fixes_are_worse():
-    made = scenario("dvl-sturn", duration=120.0)
+    made = scenario("dvl-sturn")
     usual = bound(made)
     noisier = bound(eqx.tree_at(lambda s: s.aid_sd, made, 2 * made.aid_sd))
-    holed = bound(scenario("dvl-sturn", duration=120.0, gaps=[[40, 60]]))
+    holed = bound(scenario("dvl-sturn", gaps=[[40, 60]]))
     longer = np.asarray(usual.time) > 61
     for worse in (noisier, holed):
         assert (np.asarray(worse.phi_deg)[longer] > np.asarray(usual.phi_deg)[longer]).all()
-    outliers = bound(scenario("dvl-sturn", duration=120.0, outliers="fixed"))
+    outliers = bound(scenario("dvl-sturn", outliers="fixed"))
     np.testing.assert_array_equal(outliers.phi_deg, usual.phi_deg)
-    assert np.isfinite(jnp.stack([usual.phi_deg, usual.euler_deg])).all()
+    assert np.isfinite([usual.phi_deg, usual.euler_deg]).all()
     assert 100 < heading(usual, 0.0)[0] < 104  # nothing is known yet
 
 
@@ -80,13 +79,13 @@ def test_disturbed_base_is_refused():
 
 def test_command(tmp_path, capsys):
     table, picture = tmp_path / "bound.csv", tmp_path / "bound.png"
-    command = ["bound", "dvl-sturn", "--set", "duration=60", "--every", "20"]
+    command = ["bound", "dvl-sturn", "--set", "outliers=fixed", "--every", "100"]
     assert main([*command, "--output", str(table), "--plot", str(picture)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[2:5]] == ["20", "40", "60"]
+    assert [line.split()[0] for line in lines[2:5]] == ["100", "200", "300"]
     rows = np.genfromtxt(table, delimiter=",", names=True)
-    assert len(rows) == 61
-    np.testing.assert_allclose(rows["yaw_deg"][60], float(lines[4].split()[3]), rtol=1e-3)
+    assert len(rows) == 301
+    np.testing.assert_allclose(rows["yaw_deg"][300], float(lines[4].split()[3]), rtol=1e-3)
     assert picture.stat().st_size > 10_000
     for arguments, said in (
         (["bound", "dvl-stur"], "did you mean 'dvl-sturn'"),

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from statistical import phi_deg
 
-from jaxalign import align, assess, imu_errors, rotation
+from jaxalign import align, assess, imu_errors
 from jaxalign.batch import ImuErrors, imu_figures
 from jaxalign.bounds import bound
 from jaxalign.cli.main import main
@@ -27,7 +28,7 @@ def drawn(made, key):
     return eqx.tree_at(lambda s: (s.gyro.bias, s.accel.bias), made, (made.gyro.bias * a, made.accel.bias * b))
 
 
-def errors_and_deviations(made, name, runs, every, draws=64):
+def errors_and_deviations(made, name, runs, every, draws):
     """(runs, rows, 3) both, rad, n; rows after the first."""
     exact, imu, method = truth(made), ImuErrors.of(made), build(name, made.aid)
     intervals = intervals_of(exact, made.aid_every)
@@ -44,18 +45,17 @@ def errors_and_deviations(made, name, runs, every, draws=64):
 
     q, covariance = solve(jax.random.split(jax.random.key(11), runs))
     rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])
-    reference = jnp.broadcast_to(rotation.quat_from_dcm(exact.C_nb[rows]), q.shape)
-    phi = rotation.attitude_error(q, reference)
-    return np.asarray(phi)[:, 1:], np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))[:, 1:], rows[1:], exact
+    phi, sd = np.deg2rad(phi_deg(q, exact.C_nb[rows])), np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    return phi[:, 1:], sd[:, 1:], rows[1:], exact
 
 
 def test_centred_oba_knows_its_errors():
-    """Clean: coverage, and the deviation of the heading is the bound (64 draws: 9 %)."""
+    """Clean: coverage, and the deviation of the heading is the bound (32 draws: 13 % of each run)."""
     made = scenario("dvl-sturn")
-    phi, sd, rows, exact = errors_and_deviations(made, "centred_oba", 80, 150)
+    phi, sd, rows, exact = errors_and_deviations(made, "centred_oba", 40, 150, draws=32)
     covered = (np.abs(phi) < 1.96 * sd).mean(axis=(0, 1))
-    assert (covered > 0.88).all(), covered
-    assert (covered < 0.995).all(), covered
+    assert (covered > 0.86).all(), covered
+    assert covered.mean() < 0.985, covered  # one angle of so few runs may have all within
     limit = np.deg2rad(np.asarray(bound(made, exact).phi_deg)[rows, 2])
     np.testing.assert_allclose(np.median(sd[:, :, 2], axis=0), limit, rtol=0.1)
 
@@ -68,7 +68,7 @@ def test_coverage(name, share):
     made = scenario("dvl-sturn")
     if share:
         made = dataclasses.replace(made, faults=(FixedOutliers(share, 300.0),))
-    phi, sd, _, _ = errors_and_deviations(made, name, 100, 100)
+    phi, sd, _, _ = errors_and_deviations(made, name, 100, 100, draws=64)
     covered = (np.abs(phi) < 1.96 * sd)[:, 1:].mean(axis=(0, 1))
     print(name, share, np.round(covered, 3))
     assert (covered > 0.88).all(), covered
@@ -81,14 +81,14 @@ def log():
 
 def test_assess_is_align_with_a_covariance(log):
     method, imu = build("oba", "body"), imu_errors("navigation")
-    plain, found = align(method, log, every=10), assess(method, log, imu, every=10, draws=32)
+    plain, found = align(method, log, every=10), assess(method, log, imu, every=10)
     np.testing.assert_array_equal(plain.q_nb, found.q_nb)
     assert plain.sd is None
     assert plain.euler_sd_deg is None
-    again = assess(method, log, imu, every=10, draws=20)
+    again = assess(method, log, imu, every=10, draws=250)  # rounded up
     np.testing.assert_array_equal(found.covariance, again.covariance)
     assert np.linalg.eigvalsh(found.covariance[1:]).min() > 0
-    coarser = assess(method, log, imu_errors("mems"), every=10, draws=32)
+    coarser = assess(method, log, imu_errors("mems"), every=10)
     assert (coarser.sd[-1, :2] > 10 * found.sd[-1, :2]).all()
     assert coarser.sd[-1, 2] > 2 * found.sd[-1, 2]
     # Nearly level: the heading's deviation is that of the up axis, pitch and roll share the horizontal ones.
@@ -98,14 +98,16 @@ def test_assess_is_align_with_a_covariance(log):
 
 
 def test_aligned_from_the_last_time_below(log):
-    found = assess(build("oba", "body"), log, imu_errors("navigation"), every=10, draws=32)
+    found = assess(build("oba", "body"), log, imu_errors("navigation"), every=10)
     heading = np.array([np.nan, 5.0, 0.5, 2.0, 0.9, 0.8, 0.7])
     variance = np.nan_to_num(np.deg2rad(heading), nan=0.0) ** 2
+    covariance = np.zeros((7, 3, 3))
+    covariance[:, 2, 2] = variance
     level = dataclasses.replace(
         found,
-        q_nb=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (7, 1)),
-        covariance=jnp.zeros((7, 3, 3)).at[:, 2, 2].set(variance),
-        defined=jnp.arange(7) > 0,
+        q_nb=jnp.asarray(np.tile([1.0, 0.0, 0.0, 0.0], (7, 1))),
+        covariance=jnp.asarray(covariance),
+        defined=jnp.asarray(np.arange(7) > 0),
     )
     np.testing.assert_array_equal(level.aligned(1.0), [False, False, False, False, True, True, True])
     assert not level.aligned(0.1).any()
@@ -117,17 +119,17 @@ def test_aligned_from_the_last_time_below(log):
 
 def test_behind_a_prefilter_it_is_indicative():
     log = simulate("sway", seed=1, duration=30.0)
-    found = assess(build("gravity_q", "static", prefilter="fir"), log, imu_errors("tactical"), every=30, draws=32)
+    found = assess(build("triad", "static", prefilter="fir"), log, imu_errors("tactical"), every=30, draws=32)
     assert (np.asarray(found.status) & Status.INDICATIVE).all()
     assert np.isfinite(found.covariance).all()
 
 
 def test_a_wide_open_heading_is_indicative(log):
-    found = assess(build("oba", "body"), log, imu_errors("mems"), every=10, draws=32)
+    found = assess(build("oba", "body"), log, imu_errors("mems"), every=10)
     hint = (np.asarray(found.status) & Status.INDICATIVE) > 0
     np.testing.assert_array_equal(hint, np.asarray(found.defined) & (np.rad2deg(found.sd[:, 2]) >= 20))
     assert hint[-1]
-    sure = assess(build("oba", "body"), simulate("dvl-sturn", seed=3), imu_errors("navigation"), every=150, draws=32)
+    sure = assess(build("oba", "body"), log, imu_errors("navigation"), every=10, aid_sd=0.02)
     assert not np.asarray(sure.status)[-1] & Status.INDICATIVE
 
 

@@ -27,9 +27,7 @@ def log(tmp_path_factory):
 def begun(log, store, **settings):
     """`jaxalign align` with a store."""
     command = [sys.executable, "-m", "jaxalign", "align", str(log), "--method", "velocity_q"]
-    of_tests = ("JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_COMPILATION_CACHE")
-    environment = {key: value for key, value in os.environ.items() if key not in of_tests}
-    environment["JAXALIGN_CACHE"] = str(store)
+    environment = {**os.environ, "JAXALIGN_CACHE": str(store)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, text=True, env=environment, **pipes, **settings)
 

@@ -18,8 +18,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are sen
 
 def started(*arguments, **environment):
     """A process with pipes, whose compiled programs are not kept."""
-    given = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
-    settings = {**given, "JAXALIGN_CACHE": "off", **environment}
+    settings = {**os.environ, "JAXALIGN_CACHE": "off", **environment}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen([sys.executable, *arguments], text=True, env=settings, **pipes)
 

@@ -41,6 +41,10 @@ def refine(method, epochs, start, every=1):
     return method.refine(epochs, start, every=every)
 
 
+def slow(name):
+    return pytest.param(name, marks=pytest.mark.slow)
+
+
 CASES = ("disturbed_align_c2_10mg", "disturbed_align_real_60s")
 
 
@@ -106,9 +110,10 @@ def test_frozen_filtered_force(shared, name):
     np.testing.assert_allclose(found, arrays["f_vondrak_0p5_every50"], atol=1e-10)
 
 
+# Without a filter: tests/vectors/test_cases.py.
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("force", ["none", "vondrak"])
-@pytest.mark.parametrize("coarse", ["triad", "ifba", "ifbahann"])
+@pytest.mark.parametrize("force", [slow("none"), "vondrak"])
+@pytest.mark.parametrize("coarse", ["triad", slow("ifba"), slow("ifbahann")])
 def test_frozen_coarse(shared, name, force, coarse):
     """At the last epoch. Theirs work on samples; on epochs of 0.1 s vibration leaks through the stepped Hann window."""
     arrays, log = case(shared, name)
@@ -328,6 +333,7 @@ def test_an_epoch_without_measurement_is_bridged():
     assert (np.asarray(solution.weight)[50:80] == 0).all()
 
 
+@pytest.mark.slow
 def test_sparse_rows_are_those_of_all():
     log = short()
     method = build("fine")

@@ -9,7 +9,11 @@ import pytest
 from scipy import stats
 
 from jaxalign import UserError
-from jaxalign.simulate.random import blocks, each, fold, normals
+from jaxalign.simulate import random
+from jaxalign.simulate.random import each, fold
+
+# One program instead of one for each of their operations.
+normals, blocks = (jax.jit(f, static_argnums=1) for f in (random.normals, random.blocks))
 
 
 def expected(key, count):
@@ -39,7 +43,7 @@ def test_the_largest_number_and_the_smallest():
     from jaxalign.simulate.random import _pair
 
     ends = np.array([0, 1, 2**31, 2**32 - 1], np.uint32)
-    pairs = np.asarray(_pair(*(jnp.asarray(x.ravel()) for x in np.meshgrid(ends, ends))))
+    pairs = np.asarray(jax.jit(_pair)(*(jnp.asarray(x.ravel()) for x in np.meshgrid(ends, ends))))
     radius = abs(pairs).reshape(4, 4)
     np.testing.assert_allclose(radius.max(), np.sqrt(-2 * np.log(2.0**-32)), rtol=1e-6)
     assert radius.min() == 0.0
@@ -81,7 +85,7 @@ def test_many_keys_side_by_side():
 def test_from_a_place_on(start):
     key = jax.random.key(1)
     whole = normals(key, 900)
-    later = jax.jit(lambda s: normals(key, 120, s))(jnp.uint32(start))
+    later = normals(key, 120, jnp.uint32(start))
     np.testing.assert_allclose(later, whole[start:][:120], **ROUNDING)
     z = blocks(key, 50, start)
     np.testing.assert_allclose(np.stack([z.real, z.imag], 1).ravel(), whole[2 * start :][:100], **ROUNDING)

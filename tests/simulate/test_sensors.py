@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -30,6 +29,12 @@ DEG_H = np.pi / 180 / 3600
 UG = STANDARD_GRAVITY * 1e-6
 
 
+@eqx.filter_jit
+def increments(errors, key, count, dt):
+    """One program instead of one for each of its operations."""
+    return errors.increments(key, count, dt)
+
+
 # --- inertial sensors -------------------------------------------------------------------------------------
 
 
@@ -46,7 +51,7 @@ def test_noise_of_increments(dt):
         (both, np.sqrt(9 * dt + 16 * dt**2)),
     ]
     for errors, sd in cases:
-        x = np.asarray(errors.increments(key, n, dt))
+        x = np.asarray(increments(errors, key, n, dt))
         assert_variance(x, sd)
         np.testing.assert_allclose(errors.increment_sd(dt), sd, rtol=1e-12)
         assert stats.kstest(x.ravel() / sd, "norm").pvalue > 1e-4
@@ -57,7 +62,8 @@ def test_noise_of_increments(dt):
 def test_angle_random_walk_over_an_hour():
     """0.005 deg/sqrt(h): the sum over one hour has a deviation of 0.005 deg."""
     errors = gyro_errors(walk_deg_sqrt_h=0.005)
-    angle = jax.vmap(lambda k: errors.increments(k, 3600, 1.0).sum(0))(jax.random.split(jax.random.key(0), 300))
+    keys = jax.random.split(jax.random.key(0), 300)
+    angle = jax.jit(jax.vmap(lambda k: errors.increments(k, 3600, 1.0).sum(0)))(keys)
     assert_variance(np.rad2deg(np.asarray(angle)), 0.005)
 
 
@@ -66,7 +72,7 @@ def test_bias_kinds():
     size = np.array([0.02, 0.03, 0.04]) * DEG_H
 
     def draw(kind):
-        return np.asarray(jax.vmap(gyro_errors([0.02, 0.03, 0.04], kind=kind).draw_bias)(keys))
+        return np.asarray(jax.jit(jax.vmap(gyro_errors([0.02, 0.03, 0.04], kind=kind).draw_bias))(keys))
 
     sign, gaussian, fixed = draw("sign"), draw("gaussian"), draw("fixed")
     np.testing.assert_allclose(np.abs(sign), np.tile(size, (2000, 1)), rtol=1e-12)
@@ -79,22 +85,22 @@ def test_bias_kinds():
 
 def test_bias_enters_every_increment():
     errors = accel_errors(50.0, kind="fixed")
-    np.testing.assert_allclose(errors.increments(jax.random.key(0), 4, 0.005), 50 * UG * 0.005, rtol=1e-12)
+    np.testing.assert_allclose(increments(errors, jax.random.key(0), 4, 0.005), 50 * UG * 0.005, rtol=1e-12)
     noisy = accel_errors(50.0, density_ug_sqrt_hz=1.0)
     key = jax.random.key(5)
-    mean = np.asarray(noisy.increments(key, 40000, 0.005)).mean(0) / 0.005
+    mean = np.asarray(increments(noisy, key, 40000, 0.005)).mean(0) / 0.005
     np.testing.assert_allclose(mean, noisy.draw_bias(jax.random.split(key)[0]), atol=5 * UG / np.sqrt(200.0))
 
 
 def test_sine_force():
     """(28) of the Vondrak paper: five sines of half the amplitude, less what a sample averages out."""
     amplitude, dt, n = 10e-3 * STANDARD_GRAVITY, 0.005, 2000
-    plain = np.asarray(SineForce.of_mg(10.0, random_start=False).increments(jax.random.key(0), n, dt))
+    plain = np.asarray(increments(SineForce.of_mg(10.0, random_start=False), jax.random.key(0), n, dt))
     edges = np.arange(n + 1) * dt
     primitive = sum(-np.cos(2 * np.pi * f * edges) / (2 * np.pi * f) for f in (1, 5, 10, 20, 50))
     np.testing.assert_allclose(plain, np.tile(np.diff(primitive)[:, None] * amplitude / 2, (1, 3)), atol=1e-14)
     keys = jax.random.split(jax.random.key(0), 50)
-    drawn = np.asarray(jax.vmap(lambda k: SineForce(amplitude).increments(k, n, dt)[:, 0])(keys)) / dt
+    drawn = np.asarray(jax.jit(jax.vmap(lambda k: SineForce(amplitude).increments(k, n, dt)[:, 0]))(keys)) / dt
     spectrum = np.abs(np.fft.rfft(drawn, axis=1)) / n * 2
     lines = (np.array([1, 5, 10, 20, 50]) * n * dt).astype(int)
     np.testing.assert_allclose(
@@ -110,7 +116,7 @@ def test_frozen_disturbance(shared):
     z = np.load(shared / "cases" / "disturbed_align_c2_10mg.npz")
     setting = scenario("disturbed", condition=2, amplitude_mg=10.0, noise_per="density", duration=60.0)
     t = truth(setting)
-    dtheta, dvel, velocity = measure(t, setting, jax.random.key(1))
+    dtheta, dvel, velocity = eqx.filter_jit(measure)(t, setting, jax.random.key(1))
     assert velocity is None
     np.testing.assert_allclose(t.C_nb, z["C_nb_true"], atol=1e-14)
     frequency, dt = np.array([1, 5, 10, 20, 50]), 0.005
@@ -132,12 +138,16 @@ def test_frozen_disturbance(shared):
 # --- faults of the aid ------------------------------------------------------------------------------------
 
 
+@eqx.filter_jit
+def faulty(fault, keys, t, noise):
+    return jax.vmap(fault, (0, None, 0))(keys, t, noise)
+
+
 def apply(fault, epochs=301, runs=400, dt=1.0, seed=0):
     """Errors without and with the fault, (runs, epochs, 3), for unit noise."""
     keys = jax.random.split(jax.random.key(seed), runs)
-    t = jnp.arange(epochs) * dt
-    noise = jax.random.normal(jax.random.key(99), (runs, epochs, 3))
-    return np.asarray(noise), np.asarray(jax.vmap(fault, (0, None, 0))(keys, t, noise))
+    noise = np.random.default_rng(99).normal(size=(runs, epochs, 3))
+    return noise, np.asarray(faulty(fault, keys, np.arange(epochs) * dt, noise))
 
 
 def test_fixed_outliers_hit_whole_vectors():
@@ -209,7 +219,8 @@ def test_two_faults_draw_independently():
     faults = (FixedOutliers(0.5, 1e3), FixedOutliers(0.5, 1e3))
     setting = Scenario(static_base(), Site(0.5), aid_sd=1.0, faults=faults, duration=2000.0, imu_rate=1.0, aid_every=1)
     key, exact = jax.random.key(4), truth(setting)
-    base = aid_velocity(exact, eqx.tree_at(lambda s: s.faults, setting, ()), key)
-    factor = np.round(np.log10(np.asarray(aid_velocity(exact, setting, key) / base))[1:, 0])
+    velocity = eqx.filter_jit(aid_velocity)
+    base = np.asarray(velocity(exact, eqx.tree_at(lambda s: s.faults, setting, ()), key))
+    factor = np.round(np.log10(np.asarray(velocity(exact, setting, key)) / base)[1:, 0])
     for exponent, probability in ((0, 0.25), (3, 0.5), (6, 0.25)):
         assert_rate((factor == exponent).sum(), 2000, probability)

@@ -34,6 +34,7 @@ from jaxalign.simulate import (
 
 DEG_H = np.pi / 180 / 3600
 UG = STANDARD_GRAVITY * 1e-6
+SECONDS = 4.0  # one length: one program for the truth of each trajectory
 
 
 @pytest.fixture(scope="module")
@@ -90,30 +91,29 @@ def test_sources_draw_independently(sturn):
 
 
 def test_noise_free():
-    exact = truth(scenario("dvl-accturn", duration=20.0))
-    log = simulate("dvl-accturn", 3, noise=False, outliers="fixed", gaps=((4, 5),), duration=20.0)
+    exact = truth(scenario("dvl-accturn", duration=SECONDS))
+    log = simulate("dvl-accturn", 3, noise=False, outliers="fixed", gaps=((2, 3),), duration=SECONDS)
     np.testing.assert_array_equal(log.dtheta, exact.dtheta)
     np.testing.assert_array_equal(log.dvel, exact.dvel)
-    inside = (exact.t > 3.99) & (exact.t < 5.01)
+    inside = (np.asarray(exact.t) > 1.99) & (np.asarray(exact.t) < 3.01)
     assert np.isnan(log.velocity[inside]).all()
-    np.testing.assert_array_equal(log.velocity[~inside], exact.velocity_b[~inside])
+    np.testing.assert_array_equal(log.velocity[~inside], np.asarray(exact.velocity_b)[~inside])
     assert log.aid_sd == 0.05
 
 
 def test_nav_aid_measures_in_n():
-    setting = scenario("gps-zigzag", duration=60.0)
-    exact = truth(setting)
-    np.testing.assert_array_equal(simulate(setting, 0, noise=False).velocity, exact.velocity_n)
-    error = simulate(setting, 0).velocity - exact.velocity_n
-    assert_variance(error, 1.0)
+    setting = scenario("gps-zigzag", duration=SECONDS)
+    exact = np.asarray(truth(setting).velocity_n)
+    np.testing.assert_array_equal(simulate(setting, 0, noise=False).velocity, exact)
+    assert_variance(np.array([simulate(setting, seed).velocity - exact for seed in range(12)]), 1.0)
 
 
 def test_static_scenarios_have_no_aid():
     for name, epoch in (("sway", 0.1), ("disturbed", 0.1)):
-        log = simulate(name, 0, duration=2.0)
+        log = simulate(name, 0, duration=SECONDS)
         assert (log.aid, log.velocity, log.aid_sd) == ("static", None, None)
         assert log.dt * log.aid_every == pytest.approx(epoch)
-        assert log.epochs == 20
+        assert log.epochs == 40
 
 
 def test_disturbed_conditions():
@@ -130,14 +130,14 @@ def test_disturbed_conditions():
     assert float(per_sample.gyro.increment_sd(0.005)) == pytest.approx(0.05 * DEG_H * 0.005)
     assert float(density.gyro.increment_sd(0.005)) == pytest.approx(0.05 * DEG_H * np.sqrt(0.005))
     # Noise-free, the shaking stays: it belongs to the base, not to the sensor.
-    still = simulate("disturbed", 1, noise=False, condition=1, duration=1.0)
-    shaken = simulate("disturbed", 1, noise=False, condition=2, amplitude_mg=10, duration=1.0)
+    still = simulate("disturbed", 1, noise=False, condition=1, duration=SECONDS)
+    shaken = simulate("disturbed", 1, noise=False, condition=2, amplitude_mg=10, duration=SECONDS)
     assert np.ptp(still.dvel, axis=0).max() < 1e-15
     assert np.ptp(shaken.dvel, axis=0).min() > 1e-3 * STANDARD_GRAVITY * 0.005
 
 
 def test_sway_mean_yaw():
-    log = simulate("sway", 0, mean_yaw_deg=40.0, duration=10.0)
+    log = simulate("sway", 0, mean_yaw_deg=40.0, duration=SECONDS)
     np.testing.assert_allclose(np.arctan2(-log.C_nb[0, 0, 1], log.C_nb[0, 1, 1]), np.deg2rad(40.0), rtol=1e-12)
 
 
@@ -145,7 +145,7 @@ def test_sway_mean_yaw():
 def test_every_scenario_runs(name):
     line = scenarios()[name]
     assert 20 < len(line) < 110
-    log = simulate(name, 0, duration=4.0)
+    log = simulate(name, 0, duration=SECONDS)
     assert log.name.startswith(name)
     assert len(log.dtheta) == log.epochs * log.aid_every
     assert len(log.C_nb) == log.epochs + 1
@@ -156,13 +156,14 @@ def test_every_scenario_runs(name):
 
 
 def test_vmap_over_keys_is_the_loop(sturn):
-    setting = scenario("dvl-sturn", outliers="segment", duration=5.0)
+    """But for the rounding of normal numbers in float32."""
+    setting = scenario("dvl-sturn", outliers="segment", duration=SECONDS)
     exact = truth(setting)
     keys = jax.random.split(jax.random.key(0), 3)
     batch = eqx.filter_jit(jax.vmap(measure, (None, None, 0)))(exact, setting, keys)
     for i, key in enumerate(keys):
         for together, alone in zip(batch, eqx.filter_jit(measure)(exact, setting, key), strict=True):
-            np.testing.assert_allclose(together[i], alone, rtol=1e-14)
+            np.testing.assert_allclose(together[i], alone, rtol=0, atol=1e-7 * np.abs(alone).max())
 
 
 def test_seeds_and_numbers_do_not_recompile():
@@ -173,34 +174,36 @@ def test_seeds_and_numbers_do_not_recompile():
         traces.append(1)
         return measure(t, s, key)
 
-    setting = scenario("dvl-sturn", outliers="fixed", duration=2.0)
+    setting = scenario("dvl-sturn", outliers="fixed", duration=SECONDS)
     exact = truth(setting)
     run(exact, setting, jax.random.key(0))
     run(exact, setting, jax.random.key(1))
     changed = eqx.tree_at(lambda s: (s.aid_sd, s.faults[0].factor, s.gyro.density), setting, replace_fn=lambda x: x * 2)
     run(exact, changed, jax.random.key(0))
     run(exact, noiseless(setting), jax.random.key(0))
-    run(truth(scenario("dvl-sturn", outliers="fixed", duration=2.0)), setting, jax.random.key(0))
+    run(truth(scenario("dvl-sturn", outliers="fixed", duration=SECONDS)), setting, jax.random.key(0))
     assert len(traces) == 1
 
 
 def test_measurement_is_differentiable_in_the_errors():
-    setting = scenario("disturbed", duration=1.0)
+    setting = scenario("disturbed", duration=SECONDS)
     exact = truth(setting)
 
     @eqx.filter_jit
-    def energy(s):
+    @eqx.filter_value_and_grad
+    def both(s):
         dtheta, dvel, _ = measure(exact, s, jax.random.key(0))
         return jnp.sum(dtheta**2) * 1e6 + jnp.sum(dvel**2)
 
-    slopes = eqx.filter_jit(eqx.filter_grad(energy))
-    gradient = slopes(setting)
+    gradient = both(setting)[1]
     for get in (lambda s: s.gyro.bias, lambda s: s.accel.sample_sd, lambda s: s.force.amplitude):
         direction = np.asarray(get(setting)).mean() * 1e-2
-        up, down = (energy(eqx.tree_at(get, setting, replace_fn=lambda x, d=d: x + d)) for d in (direction, -direction))
-        np.testing.assert_allclose(jnp.sum(get(gradient)) * 2 * direction, up - down, rtol=1e-4)
+        up, down = (
+            float(both(eqx.tree_at(get, setting, replace_fn=lambda x, d=d: x + d))[0]) for d in (direction, -direction)
+        )
+        np.testing.assert_allclose(np.sum(get(gradient)) * 2 * direction, up - down, rtol=1e-4)
     # A deviation of zero has a finite gradient too.
-    assert np.all(np.isfinite(jax.tree.leaves(slopes(noiseless(setting)).gyro)[1]))
+    assert np.all(np.isfinite(jax.tree.leaves(both(noiseless(setting))[1].gyro)[1]))
 
 
 # --- what a user gets wrong -------------------------------------------------------------------------------

@@ -16,6 +16,10 @@ def slow(*row):
     return pytest.param(*row, marks=pytest.mark.slow)
 
 
+# The last has another number of epochs: programs of its own.
+DVL = ["dvl_sturn_clean", "dvl_sturn_fixed", slow("dvl_accturn_clean")]
+
+
 def difference(shared, name, result, method, scheme, rows=slice(None), aid_sd=None, weights=True):
     """Largest element difference per epoch, the times, and the first epoch with an estimate on both sides."""
     arrays, log = case(shared, name)
@@ -26,14 +30,14 @@ def difference(shared, name, result, method, scheme, rows=slice(None), aid_sd=No
     return np.abs(ours - theirs).max(axis=(1, 2)), np.asarray(solution.time)[rows], ours, theirs
 
 
-@pytest.mark.parametrize("name", ["dvl_sturn_clean", "dvl_sturn_fixed", "dvl_accturn_clean"])
+@pytest.mark.parametrize("name", DVL)
 @pytest.mark.parametrize(
     ("result", "recipe", "parameters", "scheme"),
     [
-        ("OBA", "oba", RECURSIVE, "lookback"),
+        slow("OBA", "oba", RECURSIVE, "lookback"),
         ("OBA_wen", "oba", FED_BACK, "lookback"),
         slow("OBA_win60", "oba", {**RECURSIVE, "observe.window": 60.0}, "lookback"),
-        ("OBA_2s", "oba", RECURSIVE, "interval_plain"),
+        slow("OBA_2s", "oba", RECURSIVE, "interval_plain"),
         ("COBA_wen", "centred_oba", FED_BACK, "lookback"),
         slow("ROBA_vec", "roba", RECURSIVE, "lookback"),
         ("ROBA_vec_wen", "roba", FED_BACK, "lookback"),
@@ -56,14 +60,14 @@ def test_dvl(shared, name, result, recipe, parameters, scheme):
 ZERO = {"reconstruct.drop_constant": True, "reconstruct.process": 1e-8}
 
 
-@pytest.mark.parametrize("name", ["dvl_sturn_clean", "dvl_sturn_fixed", "dvl_accturn_clean"])
+@pytest.mark.parametrize("name", DVL)
 @pytest.mark.parametrize(
     ("result", "parameters"),
     [
         slow("RKFW", RECURSIVE),
         ("RKFW_wen", FED_BACK),
         slow("RKFW_exact", RECURSIVE),
-        ("RKFW_wen_exact", FED_BACK),
+        slow("RKFW_wen_exact", FED_BACK),
         slow("RKFW_zero_wen", {**FED_BACK, **ZERO}),
         slow("RKF_R_literal", {**RECURSIVE, "reconstruct.as_published": True}),
     ],
@@ -113,7 +117,7 @@ STILL = {"observe.transport_rate": False}
 @pytest.mark.parametrize(
     ("result", "recipe", "parameters"),
     [
-        ("qmethod", "oba", {"estimate.normalise": True, "observe.transport_rate": False}),
+        slow("qmethod", "oba", {"estimate.normalise": True, "observe.transport_rate": False}),
         slow("wahba_unnorm", "oba", {"observe.transport_rate": False}),
         ("wahba_centred", "centred_oba", {"observe.transport_rate": False}),
         slow("wahba_centred_full", "centred_oba", {}),
@@ -145,7 +149,7 @@ def test_gps(shared, name, result, recipe, parameters):
     [
         ("scheme1", "gravity_q", {"observe.interval_samples": 2}),
         slow("scheme2", "velocity_q", {"observe.interval_samples": 2, "estimate.normalise": True}),
-        ("scheme2w", "velocity_q", {"observe.interval_samples": 2}),
+        slow("scheme2w", "velocity_q", {"observe.interval_samples": 2}),
         ("triad_f", "dual_vector", {"vectors": "ends", "interval_samples": 2}),
         slow("triad_v", "dual_vector", {"vectors": "halves", "interval_samples": 2}),
         slow("scheme1_aidrate", "gravity_q", {}),
@@ -173,7 +177,7 @@ EACH = {"estimate.averaging": 0.0}
         ("scheme3_cum", "quaternion_kf", EACH, 1e-6, 1e-6),
         slow("scheme3_fix", "quaternion_kf", {**EACH, **FIXED}, 1e-6, 1e-6),
         slow("scheme3_full", "quaternion_kf", {**EACH, "estimate.noise": "full"}, 2e-6, 2e-6),  # R is nearly singular
-        ("scheme4_cum", "rls_quaternion_kf", {}, 1e-2, 1e-3),
+        slow("scheme4_cum", "rls_quaternion_kf", {}, 1e-2, 1e-3),
         slow("scheme4_fix", "rls_quaternion_kf", FIXED, 1e-2, 1e-3),
         slow("scheme4_full", "rls_quaternion_kf", {"estimate.noise": "full"}, 1e-2, 1e-3),
         ("scheme4q", "rls_q", {}, 1e-2, 1e-3),

@@ -16,7 +16,12 @@ def run(scenario, recipe, **parameters):
     return np.asarray(found.time), np.abs(attitude_error_deg(found, log)), found, log
 
 
-@pytest.mark.parametrize("scenario", ["dvl-sturn", "dvl-accturn", "dvl-sway"])
+def slow(name):
+    """A second trajectory, or a second recipe with the same vectors."""
+    return pytest.param(name, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("scenario", ["dvl-sturn", slow("dvl-accturn"), slow("dvl-sway")])
 def test_dvl(scenario):
     time, error, found, _ = run(scenario, "oba")
     assert error[time >= 60].max() < 0.003
@@ -66,13 +71,13 @@ def test_neglected_transport_rate_is_the_predicted_yaw_bias():
     assert attitude_error_deg(found, log)[-1, 2] == pytest.approx(predicted, rel=0.15)
 
 
-def test_gps():
-    for recipe in ("oba", "centred_oba"):
-        time, error, _, _ = run("gps-zigzag", recipe)
-        assert error[time >= 30].max() < 5e-5  # pairs of samples, latitude at mid-interval
+@pytest.mark.parametrize("recipe", ["oba", slow("centred_oba")])
+def test_gps(recipe):
+    time, error, _, _ = run("gps-zigzag", recipe)
+    assert error[time >= 30].max() < 5e-5  # pairs of samples, latitude at mid-interval
 
 
-@pytest.mark.parametrize("recipe", ["gravity_q", "velocity_q", "dual_vector"])
+@pytest.mark.parametrize("recipe", ["gravity_q", slow("velocity_q"), slow("dual_vector")])
 def test_swaying_base(recipe):
     """The front end leaves 3e-5 to 4.5e-5 deg on this motion from 60 s on (methods, self.md section 5)."""
     time, error, _, _ = run("sway", recipe)

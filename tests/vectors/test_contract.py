@@ -17,7 +17,7 @@ CLOSURE_DEG = {"rkf_oba": 0.05, "request": 0.1, "vo_tvk": 0.2, "rls_q": 0.03, "r
 LOOKS_AT_RESIDUALS = ("roba",)
 # One of every kind: what batches, sparse rows and single steps have of their own depends on the kind of recursion.
 # (roba among many runs: test_study.py.)
-KINDS = ("dual_vector", "oba", "moba", "centred_oba", "rkf_oba", "revising_oba", "request", "quaternion_kf")
+KINDS = ("dual_vector", "oba", "rkf_oba", "request", "quaternion_kf")
 # The covariance starts at a radian, and loses 1e-7 of what the fixes say to rounding.
 ROUNDING = {"robust_map": 2e-7}
 FORGETS = ("request",)

@@ -210,6 +210,7 @@ def test_repeated_largest_eigenvalue(name):
             assert not np.any(jacobian)
 
 
+@pytest.mark.slow
 def test_second_derivatives_where_they_exist():
     """Hessian-vector products against central differences of the gradient at two step sizes."""
     rng = np.random.default_rng(13)

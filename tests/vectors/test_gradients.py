@@ -8,9 +8,9 @@ from slopes import Slopes
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
 # Their compilation takes a minute each: test_fine.py, and test_robust_map.py, test_tunables.py, test_robust.py.
 GRADIENTS_ELSEWHERE = ("fine", "robust_map")
-# One of every kind: a step with a weight, one that forgets, a standing vehicle, and a whole record. The others are
-# slow tests; their slots have tests of their own.
-QUICK = ("roba", "request", "gravity_q", "triad")
+# A recursion with a weight, and a whole record of a standing vehicle. The others are slow tests; their slots have tests
+# of their own.
+QUICK = ("roba", "triad")
 rows = pytest.mark.parametrize(
     ("name", "aid"),
     [

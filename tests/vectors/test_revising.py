@@ -1,18 +1,19 @@
 """The recursive robust estimator against the bound, and against the sums that it revises."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from statistical import outlying
+from problems import EPOCHS, epochs_of, method_of, solver
+from statistical import outlying, phi_deg
 
-from jaxalign import Quat, Vec3, align, rotation
+from jaxalign import Quat, Vec3, align
 from jaxalign.bounds import bound
 from jaxalign.errors import UserError
 from jaxalign.estimate import CentredSums, Held, reweighted
 from jaxalign.methods import build
-from jaxalign.metrics import attitude_error_deg
-from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
+from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth
 
 
 def ratios(made, runs, every):
@@ -29,9 +30,7 @@ def ratios(made, runs, every):
 
     q = solve(jax.random.split(jax.random.key(5), runs))[:, 1:]
     rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])[1:]
-    reference = jnp.broadcast_to(rotation.quat_from_dcm(exact.C_nb[rows]), q.shape)
-    phi = np.rad2deg(rotation.attitude_error(q, reference))
-    return np.abs(phi) / np.asarray(bound(made, exact).phi_deg)[rows]
+    return np.abs(phi_deg(q, exact.C_nb[rows])) / np.asarray(bound(made, exact).phi_deg)[rows]
 
 
 @pytest.mark.slow
@@ -63,7 +62,9 @@ def test_reweighting_finds_the_good_ones():
     wrong = np.arange(40) % 3 == 0
     alpha = alpha + wrong[:, None] * rng.normal(size=(40, 3)) * 5
     held = Held(Vec3.of(alpha), Vec3.of(jnp.asarray(beta)), None, Vec3.zero(), jnp.ones(40, bool))
-    found, sums, weight, scale = reweighted(CentredSums.zero(False), held, Quat.identity(), False, 1e-6, 5.0)
+    found, sums, weight, scale = eqx.filter_jit(reweighted)(
+        CentredSums.zero(False), held, Quat.identity(), False, 1e-6, 5.0
+    )
     assert (np.asarray(weight)[wrong] == 0).all()
     assert (np.asarray(weight)[~wrong] > 0.1).all()
     np.testing.assert_allclose(scale, 1e-3, rtol=0.5)
@@ -72,11 +73,11 @@ def test_reweighting_finds_the_good_ones():
 
 
 def test_without_outliers_it_is_centred_oba_but_for_the_weights():
-    log = simulate("dvl-sturn", seed=4)
+    """60 fixes in 300 s, in the programs of test_contract.py: sqrt(5) times the difference of 300 fixes."""
     both = [
-        attitude_error_deg(align(build(n, "body"), log, every=300), log)[-1] for n in ("centred_oba", "revising_oba")
+        solver()(method_of(name, "body"), epochs_of("body")).euler_deg[-1] for name in ("centred_oba", "revising_oba")
     ]
-    np.testing.assert_allclose(*both, atol=0.15)
+    np.testing.assert_allclose(*both, atol=0.15 * np.sqrt(5))
 
 
 def test_memory():
@@ -84,5 +85,4 @@ def test_memory():
         build("revising_oba", "body", {"estimate.memory": 3})
     with pytest.raises(UserError, match="leave it at 0"):
         build("revising_oba", "body", {"observe.window": 60.0})
-    log = simulate("dvl-sturn", seed=4, duration=20.0)
-    assert align(build("revising_oba", "body", {"estimate.memory": 8}), log).defined[-1]
+    assert align(build("revising_oba", "body", {"estimate.memory": 8}), epochs_of("body"), every=EPOCHS).defined[-1]

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxalign import Vec3, epochs_from_arrays
+from jaxalign import Vec3
 from jaxalign.methods import build
 from jaxalign.rotation import attitude_error, quat_from_dcm
-from jaxalign.simulate import FixedOutliers, Gap, aid_velocity, imu_increments, scenario, truth
+from jaxalign.simulate import FixedOutliers, Gap, aid_velocity, intervals_of, measure_epochs, scenario, truth
 
 RUNS = 12
 ROBUST = ("roba", "moba", "rkf_oba")
@@ -27,16 +27,9 @@ def base():
     """Scenario, truth, keys of the runs, and their epochs: all methods and faults see the same increments."""
     made = scenario("dvl-sturn")
     exact = truth(made)
-
-    def drawn(key):
-        dtheta, dvel = imu_increments(exact, made, key)
-        velocity = jnp.zeros((made.epochs + 1, 3))
-        return epochs_from_arrays(
-            dtheta, dvel, velocity, dt=1 / made.imu_rate, every=made.aid_every, site=made.site, aid="body", aid_sd=0.1
-        )
-
-    keys = jax.random.split(jax.random.key(11), RUNS)
-    return made, exact, keys, jax.jit(jax.vmap(drawn))(keys)
+    keys = jax.random.split(jax.random.key(12), RUNS)
+    draw = eqx.filter_jit(jax.vmap(measure_epochs, (None, None, 0)))
+    return made, exact, keys, draw(intervals_of(exact, made.aid_every), made, keys)
 
 
 def measured(*faults):
