@@ -11,10 +11,10 @@ SHORT = {"duration": 60.0}
 RUNS = 100
 
 
-def small():
-    """100 runs of two methods with outliers, 60 s."""
-    made = scenario("dvl-sturn", outliers="fixed", **SHORT)
-    return Study(made, ["oba", "roba"], runs=RUNS, seed=4, tolerance_deg=20.0, window=(30.0, 60.0))
+def small(made=None, methods=("oba", "roba")):
+    """100 runs of two methods with outliers, 60 s; other scenarios and fewer methods share its programs."""
+    made = scenario("dvl-sturn", outliers="fixed", **SHORT) if made is None else made
+    return Study(made, list(methods), runs=RUNS, seed=4, tolerance_deg=20.0, window=(30.0, 60.0))
 
 
 @functools.cache

@@ -114,10 +114,9 @@ def test_one_run_can_be_had_again_as_a_log(made):
     np.testing.assert_allclose(found.end[3], (expected - reference + 180) % 360 - 180, rtol=1e-6, atol=1e-9)
 
 
-def test_an_aid_whose_noise_is_not_stated():
+def test_an_aid_whose_noise_is_not_stated(made):
     """Estimated, as `align` does: with zero no vector would have a weight."""
-    made = eqx.tree_at(lambda s: s.aid_sd, scenario("dvl-sturn", **SHORT), jax.numpy.zeros(()))
-    found = run(Study(made, ["oba", "roba"], runs=8))
+    found = run(small(eqx.tree_at(lambda s: s.aid_sd, made, jax.numpy.zeros(()))))
     assert np.abs(found["roba"].end[:, 2]).max() < 3 * np.abs(found["oba"].end[:, 2]).max()
 
 
@@ -128,8 +127,7 @@ def test_blocks_are_small_where_runs_are_large():
 
 
 def test_perfect_sensors_are_no_trouble(made):
-    perfect = noiseless(scenario("dvl-sturn", **SHORT))
-    found = run(Study(perfect, ["oba"], runs=3))["oba"]
+    found = run(small(noiseless(made), ["oba"]))["oba"]
     assert np.abs(found.end[:, :2]).max() < 1e-3
     assert np.abs(found.end[:, 2]).max() < 0.1  # the transport rate by attitudes up to ten epochs old
     assert np.isfinite(found.accuracy.value).all()
@@ -138,7 +136,7 @@ def test_perfect_sensors_are_no_trouble(made):
 def test_runs_without_an_attitude_are_counted():
     """No aid for the first 25 s: no attitude at 10 and 20 s, which is in no error."""
     made = scenario("dvl-sturn", gaps=((0.0, 25.0),), **SHORT)
-    found = run(Study(made, ["oba"], runs=5))["oba"]
+    found = run(small(made, ["oba"]))["oba"]
     np.testing.assert_array_equal(found.undefined, [1, 1, 0, 0, 0, 0])
     assert np.isnan(found.rmse.value[:2]).all()
     assert np.isfinite(found.rmse.value[2:]).all()
