@@ -253,9 +253,9 @@ def test_median():
 
 
 @pytest.mark.parametrize("unknown", [(), ALL])
-def test_derivatives_of_the_solution_are_those_through_the_filter(short, unknown):
+def test_derivatives_of_the_solution_are_those_through_the_filter(problem, unknown):
     """Every number of the system moved at once: the response against differentiating filter and smoother."""
-    linear = problem(short, unknown)
+    linear = problem(unknown)
     rng = np.random.default_rng(2)
 
     def some(x):
