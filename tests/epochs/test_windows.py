@@ -95,9 +95,9 @@ class Damped(ja.AbstractWeight):
         return state, jnp.exp(-context.time / (100.0 * self.gamma))
 
 
-def test_tunables_may_be_traced(log):
+def test_tunables_may_be_traced():
     """Built or set inside jit, vmap and grad: a number of a method is a leaf like any other."""
-    epochs = ja.epochs_from_log(log)
+    epochs = ja.epochs_from_log(ja.simulate.simulate("dvl-sturn", 2))  # seed 5 has a slope of next to nothing
 
     def built(gamma):
         return ja.Aligner(ja.BodyVelocity(), weight=Damped(gamma), estimate=ja.QMethod()).solve(epochs, 10).q_nb[-1, 3]
@@ -111,7 +111,7 @@ def test_tunables_may_be_traced(log):
     together = jax.jit(jax.vmap(built))(values)
     np.testing.assert_allclose(together, jax.jit(jax.vmap(set_))(values), rtol=1e-12)
     assert len({float(x) for x in together}) == 3
-    slope, h = jax.jit(jax.grad(built))(1.0), 1e-4
+    slope, h = jax.jit(jax.grad(built))(1.0), 1e-3
     value = jax.jit(built)
     assert float(slope) == pytest.approx(float(value(1 + h) - value(1 - h)) / (2 * h), rel=1e-5)
 
