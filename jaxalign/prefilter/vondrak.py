@@ -121,7 +121,10 @@ def vondrak(
     y = jnp.where(jnp.isfinite(y), y, 0.0)
     theta = jnp.asarray(theta_from_cutoff(cutoff) if theta is None else theta, jnp.float64)
     columns = y.reshape(len(t), -1)
-    return jax.vmap(smooth, (None, 1, None, None), 1)(t, columns, p, theta).reshape(y.shape)
+    return _columns(t, columns, p, theta).reshape(y.shape)
+
+
+_columns = jax.jit(jax.vmap(smooth, (None, 1, None, None), 1))
 
 
 def _check(t: Any, y: Any, p: Any, name: str, number: Any) -> None:

@@ -174,6 +174,7 @@ def test_car_windows(shared):
     assert (np.abs(errors) < 1.96 * sd).mean() >= 0.85
 
 
+@pytest.mark.slow
 def test_low_cost_unit_in_a_car(shared):
     """A centimetre of lever arm counts: with it, and unknown biases, the heading is within what is said of it."""
     log = read(shared / "data" / "fog_mems" / "psins_fog_mems.npz")

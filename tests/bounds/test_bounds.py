@@ -23,7 +23,7 @@ def heading(found, *times):
     ("name", "times", "known"),
     [
         ("dvl-sturn", (100, 200, 300), (2.67, 0.472, 0.205)),
-        ("dvl-accturn", (100, 200, 300), (0.663, 0.283, 0.054)),
+        pytest.param("dvl-accturn", (100, 200, 300), (0.663, 0.283, 0.054), marks=pytest.mark.slow),
         ("gps-zigzag", (50, 100, 150, 200, 250), (3.37, 1.59, 1.43, 0.807, 0.743)),
     ],
 )
@@ -32,7 +32,10 @@ def test_figures(name, times, known):
     np.testing.assert_allclose(heading(bound(scenario(name)), *times), known, rtol=0.02)
 
 
-@pytest.mark.parametrize(("name", "frozen"), [("dvl-sturn", "dvl_sturn_clean"), ("dvl-accturn", "dvl_accturn_clean")])
+@pytest.mark.parametrize(
+    ("name", "frozen"),
+    [("dvl-sturn", "dvl_sturn_clean"), pytest.param("dvl-accturn", "dvl_accturn_clean", marks=pytest.mark.slow)],
+)
 def test_frozen_curves(shared, name, frozen):
     """East, north and up, wherever the bound is small against a radian; theirs has no measurement at epoch 0."""
     theirs = case(shared, frozen)[0]["crlb_deg"]

@@ -49,6 +49,7 @@ def errors_and_deviations(made, name, runs, every, draws):
     return phi[:, 1:], sd[:, 1:], rows[1:], exact
 
 
+@pytest.mark.slow
 def test_centred_oba_knows_its_errors():
     """Clean: coverage, and the deviation of the heading is the bound (32 draws: 13 % of each run)."""
     made = scenario("dvl-sturn")
@@ -117,6 +118,7 @@ def test_aligned_from_the_last_time_below(log):
         align(build("oba", "body"), log, every=10).aligned(1.0)
 
 
+@pytest.mark.slow
 def test_behind_a_prefilter_it_is_indicative():
     log = simulate("sway", seed=1, duration=30.0)
     found = assess(build("triad", "static", prefilter="fir"), log, imu_errors("tactical"), every=30, draws=32)

@@ -30,7 +30,7 @@ def navigated(name, samples=2, **options):
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("gps-zigzag", {}),
+        pytest.param("gps-zigzag", {}, marks=pytest.mark.slow),
         pytest.param("dvl-sturn", {}, marks=pytest.mark.slow),
         pytest.param("dvl-accturn", {}, marks=pytest.mark.slow),
         ("dvl-sway", {"duration": 100.0}),

@@ -16,7 +16,7 @@ def log():
     return ja.simulate.simulate("dvl-sturn", 5)
 
 
-@pytest.mark.parametrize("window", [20.0, 20.5, 21.0])
+@pytest.mark.parametrize("window", [20.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (20.0, 21.0))])
 def test_a_window_never_stops_for_want_of_a_far_end(log, window):
     """Epochs of half a second between fixes of one: whatever the window, every fix gives a vector."""
     method = build("oba", "body", {"observe.interval_samples": 100, "observe.window": window})
@@ -33,10 +33,9 @@ def test_a_window_over_lost_fixes_reaches_back_to_the_last_one(log):
     velocity = log.velocity.copy()
     velocity[1::2] = np.nan
     holed = dataclasses.replace(log, velocity=velocity)
-    odd, even = (align(build("oba", "body", {"observe.window": w}), holed) for w in (21.0, 20.0))
-    assert (np.asarray(odd.weight) > 0).sum() == (np.asarray(even.weight) > 0).sum() == 151
     # 21 s back there is no fix, 22 s back there is one.
-    wide = align(build("oba", "body", {"observe.window": 22.0}), holed)
+    odd, wide = (align(build("oba", "body", {"observe.window": w}), holed) for w in (21.0, 22.0))
+    assert (np.asarray(odd.weight) > 0).sum() == (np.asarray(wide.weight) > 0).sum() == 151
     late = (np.asarray(odd.time) >= 60) & (np.asarray(odd.weight) > 0)
     np.testing.assert_allclose(np.asarray(odd.alpha)[late], np.asarray(wide.alpha)[late], atol=1e-9)
 
@@ -57,8 +56,8 @@ def test_noise_is_estimated_whatever_the_interval(log):
 
 def test_the_noise_used_is_what_was_asked_for(log):
     """What the caller says; else what the log says of the aid observed; else an estimate."""
-    assert float(align(build("oba"), log, 300).aid_sd[-1]) == 0.1
-    assert float(align(build("oba"), log, 300, aid_sd=0.3).aid_sd[-1]) == 0.3
+    assert float(align(build("oba"), log, 100).aid_sd[-1]) == 0.1
+    assert float(align(build("oba"), log, 100, aid_sd=0.3).aid_sd[-1]) == 0.3
     standing = ja.simulate.simulate("sway", 1, duration=60.0)
     estimate = float(align(build("gravity_q"), standing, 300).aid_sd[-1])
     force = 500e-6 * 9.80665 * 0.01 * np.sqrt(10)  # 500 ug per sample of 10 ms, ten samples an epoch
@@ -95,25 +94,24 @@ class Damped(ja.AbstractWeight):
         return state, jnp.exp(-context.time / (100.0 * self.gamma))
 
 
-def test_tunables_may_be_traced():
+def test_tunables_may_be_traced(log):
     """Built or set inside jit, vmap and grad: a number of a method is a leaf like any other."""
-    epochs = ja.epochs_from_log(ja.simulate.simulate("dvl-sturn", 2))  # seed 5 has a slope of next to nothing
+    epochs, observe = ja.epochs_from_log(log), ja.BodyVelocity(transport_rate=False)
 
     def built(gamma):
-        return ja.Aligner(ja.BodyVelocity(), weight=Damped(gamma), estimate=ja.QMethod()).solve(epochs, 10).q_nb[-1, 3]
+        return ja.Aligner(observe, weight=Damped(gamma), estimate=ja.QMethod()).solve(epochs, 100).q_nb[-1, 3]
 
-    base = ja.Aligner(ja.BodyVelocity(), weight=Damped(), estimate=ja.QMethod())
+    base = ja.Aligner(observe, weight=Damped(), estimate=ja.QMethod())
 
     def set_(gamma):
-        return ja.with_parameters(base, {"weight.gamma": gamma}).solve(epochs, 10).q_nb[-1, 3]
+        return ja.with_parameters(base, {"weight.gamma": gamma}).solve(epochs, 100).q_nb[-1, 3]
 
-    values = jnp.array([0.5, 1.0, 2.0])
-    together = jax.jit(jax.vmap(built))(values)
+    h = 1e-3
+    values = np.array([0.5, 1.0, 2.0, 1.0 - h, 1.0 + h])
+    together, slopes = (np.asarray(x) for x in jax.jit(jax.vmap(jax.value_and_grad(built)))(values))
     np.testing.assert_allclose(together, jax.jit(jax.vmap(set_))(values), rtol=1e-12)
-    assert len({float(x) for x in together}) == 3
-    slope, h = jax.jit(jax.grad(built))(1.0), 1e-3
-    value = jax.jit(built)
-    assert float(slope) == pytest.approx(float(value(1 + h) - value(1 - h)) / (2 * h), rel=1e-5)
+    assert len(set(together)) == 5
+    assert slopes[1] == pytest.approx((together[4] - together[3]) / (2 * h), rel=1e-5)
 
 
 def test_float32_arrays_are_refused_by_name(log):
@@ -148,9 +146,9 @@ def test_logs_with_slightly_different_clocks_share_a_program(log, caplog):
     import dataclasses
 
     method = build("oba")
-    align(method, log, 10)
+    align(method, log, 100)
     with jax.log_compiles(), caplog.at_level("WARNING"):
-        align(method, dataclasses.replace(log, dt=log.dt * (1 + 2e-7)), 10)
+        align(method, dataclasses.replace(log, dt=log.dt * (1 + 2e-7)), 100)
     assert not [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
 
 

@@ -135,6 +135,7 @@ def test_monte_carlo_without_an_aid():
     assert np.abs(errors.euler[:, -1, :2]).max() < 0.1  # 500 ug are 0.03 deg
 
 
+@pytest.mark.slow
 def test_monte_carlo_with_perfect_sensors():
     errors = monte_carlo(noiseless(scenario("gps-zigzag", duration=60.0)), {"oba": build("oba", "nav")}, 1)["oba"]
     assert np.abs(errors.euler[0, -1]).max() < 0.01

@@ -143,7 +143,8 @@ def test_runs_without_an_attitude_are_counted():
     assert np.isnan(found.percentiles.value[:, 0]).all()
 
 
-@pytest.mark.parametrize("record", ["dual_vector", pytest.param("fine", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("record", ["dual_vector", "fine"])
 def test_standing_vehicle_and_methods_with_their_own_epochs(record):
     made = scenario("disturbed", condition=1, duration=20.0)
     methods = {"velocity_q": build("velocity_q", "static", {"observe.interval_samples": 2}), record: build(record)}
@@ -154,12 +155,21 @@ def test_standing_vehicle_and_methods_with_their_own_epochs(record):
         assert np.abs(m.end[:, :2]).max() < 0.5
 
 
-def test_prefilters_need_samples():
+def raw_and_filtered():
+    """A shaken base, and a method without and with a filter."""
     made = scenario("disturbed", amplitude_mg=10.0, duration=20.0)
-    methods = {"raw": build("dual_vector"), "filtered": build("dual_vector", prefilter="vondrak")}
-    found = run(Study(made, methods, runs=2, every=100, fidelity="samples"))
+    return made, {"raw": build("dual_vector"), "filtered": build("dual_vector", prefilter="vondrak")}
+
+
+@pytest.mark.slow
+def test_prefilters_in_a_study():
+    found = run(Study(*raw_and_filtered(), runs=2, every=100, fidelity="samples"))
     assert np.isfinite(found["filtered"].end).all()
     assert np.any(found["raw"].end != found["filtered"].end)
+
+
+def test_prefilters_need_samples():
+    made, methods = raw_and_filtered()
     with pytest.raises(UserError, match="--fidelity samples"):
         run(Study(made, methods, runs=2, every=100))
     quiet = dataclasses.replace(made, force=None)
