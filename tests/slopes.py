@@ -57,6 +57,7 @@ class Slopes:
     Attributes:
         paths: of its tunable numbers, in their order behind the first three of ``x``.
         zero: where ``x`` starts.
+        direction: of the velocities, (EPOCHS + 1, 3), by which the first of ``x`` moves them.
     """
 
     def __init__(self, name: str, aid: str, settings: dict, loss: str = "end", velocity=None):
@@ -73,6 +74,7 @@ class Slopes:
             self._velocity = velocity
         direction = np.random.default_rng(5).normal(size=self._velocity.shape)
         truth = np.array(quat_from_dcm(log_of(aid).C_nb[0])) * [1, -1, -1, -1]
+        self.direction = direction
         self._rest = (epochs_of(aid), direction, truth, np.array([float(loss == x) for x in LOSSES]))
 
     def reverse(self, x, numbers=None):

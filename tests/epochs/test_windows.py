@@ -107,11 +107,13 @@ def test_tunables_may_be_traced(log):
         return ja.with_parameters(base, {"weight.gamma": gamma}).solve(epochs, 100).q_nb[-1, 3]
 
     h = 1e-3
-    values = np.array([0.5, 1.0, 2.0, 1.0 - h, 1.0 + h])
-    together, slopes = (np.asarray(x) for x in jax.jit(jax.vmap(jax.value_and_grad(built)))(values))
-    np.testing.assert_allclose(together, jax.jit(jax.vmap(set_))(values), rtol=1e-12)
-    assert len(set(together)) == 5
-    assert slopes[1] == pytest.approx((together[4] - together[3]) / (2 * h), rel=1e-5)
+    values = np.array([[0.5, 1.0, 2.0]]) + np.array([[0.0], [-h], [h]])
+    together, slopes = (np.asarray(x) for x in jax.jit(jax.vmap(jax.value_and_grad(built)))(values.ravel()))
+    np.testing.assert_allclose(together, jax.jit(jax.vmap(set_))(values.ravel()), rtol=1e-12)
+    at, below, above = together.reshape(3, 3)
+    assert len(set(at)) == 3
+    # One of the slopes is near its zero: steps meet the rounding of the eigenproblem there.
+    np.testing.assert_allclose(slopes[:3], (above - below) / (2 * h), atol=1e-4 * np.abs(slopes).max())
 
 
 def test_float32_arrays_are_refused_by_name(log):

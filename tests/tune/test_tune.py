@@ -37,7 +37,8 @@ def made():
 
 @pytest.fixture(scope="module")
 def tune(made):
-    return of(made, steps=30, rate=0.3, seed=1)
+    """From far below the optimum."""
+    return of(made, build("roba", "body", {"weight.gamma": 0.4}), steps=30, rate=0.3, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def errors():
 
 
 def test_the_loss_is_the_accuracy_of_the_study(tune, tuned):
-    study = run_study(Study(tune.scenario, ["roba"], RUNS, seed=tune.seed))
+    study = run_study(Study(tune.scenario, {"roba": tune.method}, RUNS, seed=3))
     np.testing.assert_allclose(tuned.history.loss[0], study["roba"].accuracy.value[2], rtol=1e-9)
 
 
@@ -73,13 +74,14 @@ def test_modes_agree_with_differences(tune):
 
 
 def test_the_search_ends_where_a_grid_does(tune, tuned):
-    objective, _, held_out = engine.prepared(tune)
-    judge = engine._Judge(tune, objective, held_out)
+    objective, batch, _ = engine.prepared(tune)
+    judge = engine._Judge(tune, objective, batch)
     space = tune.space
     gammas = np.geomspace(0.2, 9.0, 25)
     grid = [judge({"weight.gamma": jnp.asarray(space.maps["weight.gamma"].free(x))})[0] for x in gammas]
-    assert tuned.best <= min(grid) + 0.02 * (max(grid) - min(grid))
-    assert min(tuned.history.loss) < 0.99 * tuned.history.loss[0]
+    assert min(tuned.history.loss) <= min(grid) + 0.02 * (max(grid) - min(grid))
+    first = tuned.history.loss[0]
+    assert min(tuned.history.loss) <= first - 0.9 * (first - min(grid))
     assert tuned.best == min(tuned.history.held)
     assert float(tuned.method.weight.gamma) == tuned.values["weight.gamma"]
     assert tuned.gain[0] < 0
