@@ -38,7 +38,7 @@ def made():
 @pytest.fixture(scope="module")
 def tune(made):
     """From far below the optimum."""
-    return of(made, build("roba", "body", {"weight.gamma": 0.4}), steps=30, rate=0.3, seed=3)
+    return of(made, build("roba", "body", {"weight.gamma": 0.2}), steps=30, rate=0.3, seed=3)
 
 
 @pytest.fixture(scope="module")
