@@ -38,7 +38,7 @@ def made():
 @pytest.fixture(scope="module")
 def tune(made):
     """From far below the optimum."""
-    return of(made, build("roba", "body", {"weight.gamma": 0.2}), steps=30, rate=0.3, seed=3)
+    return of(made, build("roba", "body", {"weight.gamma": 0.2}), steps=30, rate=0.3, seed=2)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def errors():
 
 
 def test_the_loss_is_the_accuracy_of_the_study(tune, tuned):
-    study = run_study(Study(tune.scenario, {"roba": tune.method}, RUNS, seed=3))
+    study = run_study(Study(tune.scenario, {"roba": tune.method}, RUNS, seed=2))
     np.testing.assert_allclose(tuned.history.loss[0], study["roba"].accuracy.value[2], rtol=1e-9)
 
 
