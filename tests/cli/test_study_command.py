@@ -26,6 +26,7 @@ COMMAND = [sys.executable, "-m", "jaxalign", "study", "dvl-sturn", "--set", "out
 SAME = ["--methods", "oba,roba", "--runs", str(RUNS), "--seed", "4", "--tolerance", "20", "--window", "30", "60"]
 
 
+@pytest.mark.slow
 def test_command_on_all_cores_is_the_same_to_the_last_bit(result, tmp_path):
     """The command takes each core as a device of its own. The first of the two methods: each device compiles it."""
     command = [*COMMAND, *SAME, "--methods", "oba", "--out", tmp_path, "--plot"]

@@ -9,7 +9,12 @@ from jaxalign.methods import build
 from jaxalign.metrics import attitude_error_deg
 
 
-@pytest.mark.parametrize("number", ["02", "03", "05", "10", "12", "13"])
+def slow(value):
+    return pytest.param(value, marks=pytest.mark.slow)
+
+
+# Of one length each: programs of their own.
+@pytest.mark.parametrize("number", ["02", *(slow(x) for x in ("03", "05", "10", "12", "13"))])
 def test_auv(shared, number):
     log = read(shared / "data" / "real_akit" / f"real_akit_{number}.npz")
     found = align(build("oba", "body"), log, every=100)
@@ -19,7 +24,7 @@ def test_auv(shared, number):
     assert 0.002 < float(found.aid_sd[-1]) < 0.008  # 4-6 mm/s horizontal, 2 mm/s vertical
 
 
-@pytest.mark.parametrize("recipe", ["gravity_q", "velocity_q"])
+@pytest.mark.parametrize("recipe", ["gravity_q", slow("velocity_q")])
 def test_ring_laser_from_the_native_format(shared, recipe):
     log = read(shared / "data" / "lasergyro" / "lasergyro_first_half.imu")
     found = align(build(recipe), log, every=100)

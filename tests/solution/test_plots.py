@@ -7,12 +7,12 @@ import pytest
 
 from jaxalign import UserError, align, plots
 from jaxalign.methods import build
-from jaxalign.simulate import scenario, simulate
+from jaxalign.simulate import simulate
 
 
 @pytest.fixture(scope="module")
 def made():
-    log = simulate(scenario("dvl-sturn", duration=120.0), 2)
+    log = simulate("dvl-sturn", 2)
     return log, align(build("oba"), log)
 
 
@@ -48,6 +48,7 @@ def test_compare(made):
     assert [t.get_text() for t in figure.axes[2].get_legend().get_texts()] == ["first", "second"]
 
 
+@pytest.mark.slow
 def test_the_methods_own_standard_deviations_are_drawn():
     log = simulate("disturbed", 2, duration=20.0)
     solution = align(build("fine"), log, every=20)
