@@ -15,6 +15,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.aid_noise import white_noise_sd
+from jaxalign.compilation.programs import Program
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch, Epochs, check_prefilter, epochs_from_log, over_runs
 from jaxalign.errors import UserError
@@ -288,7 +289,7 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     return out
 
 
-@eqx.filter_jit
+@Program
 def _jitted(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
     return _scan(aligner, epochs, every)
 

@@ -13,6 +13,7 @@ from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.smoother import Prior, filtered
 from jaxalign.batch.solver import Model, Problem, State, linearized
 from jaxalign.batch.trajectory import TILT, UNKNOWN, Trajectory
+from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.precision import require_x64
@@ -40,7 +41,7 @@ class Bound(eqx.Module):
     euler_deg: Float[Array, "K 3"]
 
 
-@eqx.filter_jit
+@Program
 def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) -> Bound:
     one, count = jax.tree.map(lambda x: x[:, None], epochs.rows), len(epochs)
     q_nb = Quat.of(quat_from_dcm(exact.C_nb))
@@ -70,7 +71,7 @@ def _bound(epochs: Epochs, exact: Truth, imu: ImuErrors, sd: Any, known: Any) ->
     return Bound(jnp.cumsum(epochs.rows.dt), *(jnp.rad2deg(jnp.sqrt(x)) for x in (phi, euler)))
 
 
-@eqx.filter_jit
+@Program
 def _measured(exact: Truth, scenario: Scenario) -> Epochs:
     """What perfect sensors measure."""
     return measure_epochs(intervals_of(exact, scenario.aid_every), noiseless(scenario), jax.random.key(0))

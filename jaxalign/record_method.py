@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.aligner import align
+from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs, epochs_from_log, over_runs
 from jaxalign.inertial import InertialRecord
 from jaxalign.log import Log
@@ -82,7 +83,7 @@ class AbstractRecordMethod(eqx.Module):
         return align(self, log, every)
 
 
-@eqx.filter_jit
+@Program
 def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solution:
     count = len(epochs)
     rows = np.unique([*range(0, count, every), count - 1])

@@ -16,6 +16,7 @@ from jaxalign.aligner import align, epochs_for
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.batch.trajectory import UNKNOWN
+from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.log import Log
@@ -66,7 +67,7 @@ def _disturbed(epochs: Epochs, imu: ImuErrors, fix_sd: Any, key: PRNGKeyArray) -
     return eqx.tree_at(lambda e: e.rows, epochs, new)
 
 
-@eqx.filter_jit
+@Program
 def ensemble_covariance(
     method: Any, epochs: Epochs, imu: ImuErrors, found: Solution, every: int, draws: int, key: PRNGKeyArray
 ) -> Float[Array, "K 3 3"]:

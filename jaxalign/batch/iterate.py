@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from jaxalign.batch.modes import best_of, turns
 from jaxalign.batch.solver import Model, Problem, Readout, State, initial_state, step
 from jaxalign.batch.start import views
+from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epoch, Epochs
 
 __all__ = ["LANES", "Found", "on_host", "padded", "traced"]
@@ -154,9 +155,7 @@ def _filled(rows: Epoch) -> Epoch:
     return eqx.tree_at(lambda e: e.rotation.w, out, fill(rows.rotation.w, 1.0))
 
 
-_begin, _step = eqx.filter_jit(_begun), eqx.filter_jit(step)
-_again = eqx.filter_jit(_turned)
-_chosen = jax.jit(_best)
+_begin, _step, _again, _chosen = Program(_begun), Program(step), Program(_turned), Program(_best)
 
 
 def on_host(

@@ -17,6 +17,7 @@ from jaxalign.batch.fix import PARTS, parts_of
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.iterate import LANES, Found, on_host, traced
 from jaxalign.batch.solver import Model, Problem
+from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Aid, Epochs, epochs_from_log, row_numbers
 from jaxalign.errors import UserError
 from jaxalign.log import Log
@@ -267,4 +268,4 @@ def _assemble_rows(rows: Any, numbers: Any, found: Found, calibrated: bool) -> S
     )
 
 
-_assemble = eqx.filter_jit(_assemble_rows)
+_assemble = Program(_assemble_rows)

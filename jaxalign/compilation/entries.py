@@ -12,7 +12,8 @@ import os
 import re
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from jaxalign.errors import UserError
@@ -50,10 +51,20 @@ class Entries:
         self._lock = threading.Lock()
         self._written: int | None = None
         self._broken = False
+        self._here = threading.local()
+
+    @contextmanager
+    def hidden(self) -> Iterator[None]:
+        """Nothing is found or kept in this thread."""
+        self._here.hidden = True
+        try:
+            yield
+        finally:
+            self._here.hidden = False
 
     def get(self, key: str) -> bytes | None:
         """The content, or None."""
-        if not self.readable:
+        if not self.readable or getattr(self._here, "hidden", False):
             return None
         path = self._file(key)
         try:
@@ -70,7 +81,7 @@ class Entries:
     def put(self, key: str, value: bytes) -> None:
         """Keep a content, whatever there is now; after a failure nothing more."""
         with self._lock:
-            if self._broken:
+            if self._broken or getattr(self._here, "hidden", False):
                 return
             try:
                 with replacing(self._file(key)) as stream:

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jaxalign.compilation import folder, probe
+from jaxalign.compilation.entries import Entries
 from jaxalign.compilation.flags import add_fast_loops, add_quick_compilation
 
-__all__ = ["configure", "reloads"]
+__all__ = ["configure", "reloads", "store"]
 
 _LOG = logging.getLogger("jaxalign")
 _kept: Path | None = None
+_entries: Entries | None = None
 
 
 def configure(cache: str | os.PathLike[str] | Literal[False] | None = None, *, flags: bool = True) -> Path | None:
@@ -77,6 +79,14 @@ def reloads() -> bool | None:
     return None if root is None else probe.verdict(root / _subfolder())
 
 
+def store() -> Entries | None:
+    """What compiled programs are kept in, while they are."""
+    import jax
+
+    enabled = jax.config.jax_enable_compilation_cache  # pyright: ignore[reportAttributeAccessIssue]
+    return _entries if enabled else None
+
+
 def _subfolder() -> str:
     return folder.subfolder(version("jax"), version("jaxlib"))
 
@@ -93,8 +103,7 @@ def _installed(place: Path, readable: bool) -> bool:
     import jax
     from jax.experimental.compilation_cache import compilation_cache
 
-    from jaxalign.compilation.entries import Entries
-
+    global _entries
     try:
         from jax._src import compilation_cache as hidden
 
@@ -102,15 +111,18 @@ def _installed(place: Path, readable: bool) -> bool:
     except (ImportError, AttributeError):
         return False
 
-    def store(path: str) -> Any:
-        return (Entries(place, readable), path) if path == str(place) else usual(path)
+    entries = Entries(place, readable)
+
+    def opened(path: str) -> Any:
+        return (entries, path) if path == str(place) else usual(path)
 
     compilation_cache.reset_cache()
-    hidden.get_file_cache = store
+    hidden.get_file_cache = opened
     jax.config.update("jax_compilation_cache_dir", str(place))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
+    _entries = entries
     # A program that does not load is compiled again: nobody need know.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     return True
