@@ -1,3 +1,4 @@
+import gc
 import itertools
 import os
 from contextlib import nullcontext
@@ -10,6 +11,8 @@ from jaxtyping import install_import_hook
 from times import Times
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where an operation came from
+gc.set_threshold(100_000, 50, 100)  # what JAX traces are many small objects that are soon gone
 # The shapes in the annotations are checked in the tests, not in production: in the rooms that handle arrays (those that
 # parse what users type have messages of their own, which a type checker would forestall).
 ARRAYS = ("vector", "rotation", "earth", "linear", "spread", "solution", "metrics")
@@ -45,11 +48,12 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    """Rows of one recipe and aid go to one worker, which has their programs compiled."""
+    """A file goes to one worker, which compiles once what its tests share; of the contract, the rows of one recipe."""
     for item in items:
         values = getattr(getattr(item, "callspec", None), "params", {})
-        if item.path.parent.name == "vectors" and {"name", "aid"} <= values.keys():
-            item.add_marker(pytest.mark.xdist_group(f"{values['name']}-{values['aid']}"))
+        recipe = f"{values['name']}-{values['aid']}" if {"name", "aid"} <= values.keys() else None
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(recipe or item.path.stem))
 
 
 @pytest.fixture(autouse=True)

@@ -20,6 +20,7 @@ def test_crosses_near_65_s_on_the_s_turn(window):
     assert seen[time >= 70].all()
 
 
+@pytest.mark.slow
 def test_heading_error_at_the_crossing_on_the_s_turn():
     """What the README says: some 20 deg rms, 40 deg in single runs."""
     made = scenario("dvl-sturn")
@@ -45,6 +46,7 @@ def test_is_the_eigenvalue_criterion():
         assert bool(found.observable[k]) == (ratio > 1)
 
 
+@pytest.mark.slow
 def test_standing_vehicle_heading_error_at_the_crossing():
     """Where the flag turns, the heading is known to some 10 deg: with white noise of the force, nothing else."""
     from jaxalign.metrics import attitude_error_deg

@@ -26,7 +26,10 @@ def of_grade(name, grade, **options):
     return simulate(made, seed=5)
 
 
-@pytest.mark.parametrize("grade", ["navigation", pytest.param("tactical", marks=pytest.mark.slow), "mems"])
+@pytest.mark.parametrize(
+    "grade",
+    ["navigation", pytest.param("tactical", marks=pytest.mark.slow), pytest.param("mems", marks=pytest.mark.slow)],
+)
 def test_the_grade_is_that_of_the_data(grade):
     log = of_grade("dvl-sturn", grade)
     choice = choose(log)
@@ -130,19 +133,12 @@ def struck(log, seed):
 AUV = ("02", "03", "05", "10", "12", "13")
 
 
-@pytest.mark.parametrize(
-    ("spoil", "numbers"),
-    [
-        (struck, AUV[::2]),
-        pytest.param(struck, AUV, marks=pytest.mark.slow),
-        pytest.param(lambda log, seed: log, AUV, marks=pytest.mark.slow),
-    ],
-)
-def test_auv_logs(shared, spoil, numbers):
+@pytest.mark.slow
+@pytest.mark.parametrize("spoil", [struck, lambda log, seed: log])
+def test_auv_logs(shared, spoil):
     """Six logs of an AUV, nothing said of its sensors: 0.98 deg after 200 s and 0.33 at the end by plain OBA."""
     errors = []
-    for number in numbers:
-        seed = AUV.index(number)
+    for seed, number in enumerate(AUV):
         log = spoil(read(shared / "data" / "real_akit" / f"real_akit_{number}.npz"), seed)
         choice = choose(log)
         assert choice.grade == "navigation"
@@ -187,6 +183,7 @@ def test_low_cost_unit_in_a_car(shared):
     np.testing.assert_allclose(found.filter.calibration[-1, 3], 0.13, atol=0.05)  # m, up
 
 
+@pytest.mark.slow
 def test_ring_laser(shared):
     """No reference, but independent toolboxes: yaw -90.58 to -90.63 deg after 300 s."""
     log = read(shared / "data" / "lasergyro" / "lasergyro_first_half.imu").crop(0, 300)

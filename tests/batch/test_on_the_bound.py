@@ -39,6 +39,7 @@ def on_the_bound(made, runs, every, most):
     return ratio
 
 
+@pytest.mark.slow
 def test_on_the_bound_outlying():
     """A tenth of the fixes 300 times too noisy, the first one too: 96 runs, so within 20 %."""
     on_the_bound(outlying(scenario("dvl-sturn"), 0.1), 96, 150, 1.25)

@@ -24,7 +24,12 @@ measured = eqx.filter_jit(measure_epochs)
 
 @pytest.mark.parametrize(
     ("name", "aid", "most"),
-    [("dvl-sturn", "body", 2e-4), ("dvl-sway", "body", 2e-4), ("gps-zigzag", "nav", 5e-5), ("sway", "static", 1e-5)],
+    [
+        ("dvl-sturn", "body", 2e-4),
+        pytest.param("dvl-sway", "body", 2e-4, marks=pytest.mark.slow),
+        ("gps-zigzag", "nav", 5e-5),
+        ("sway", "static", 1e-5),
+    ],
 )
 def test_noise_free_closure(name, aid, most):
     """What is left is the trapezoid of the velocity over an epoch, in Coriolis' term and the transport rate."""
@@ -69,7 +74,8 @@ def test_frozen_gps(shared):
     assert abs(heading("wahba_centred_full")) < 0.02 * 0.743
 
 
-@pytest.mark.parametrize("noise", [pytest.param("at_least", marks=pytest.mark.slow), "estimated"])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["at_least", "estimated"])
 def test_mis_stated_noise(noise):
     """Two thirds of the true noise are stated: the data say so, and the deviations hold."""
     made = outlying(scenario("dvl-sturn"), 0.1)
@@ -212,6 +218,7 @@ def test_noise_as_large_as_the_changes_of_velocity(sd, seconds):
     assert np.median(deviation) < 16
 
 
+@pytest.mark.slow
 def test_a_stated_noise_that_is_far_too_small_says_nothing_of_the_start():
     """30 s with a hundredth of the true noise stated: the heading is as open as it is."""
     made = scenario("dvl-sturn", duration=30.0)

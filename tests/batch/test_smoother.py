@@ -124,7 +124,7 @@ def dense(linear, lane):
     return mean + gain @ off, covariance - gain @ h @ covariance, history, density
 
 
-@pytest.mark.parametrize("unknown", [(), ALL])
+@pytest.mark.parametrize("unknown", [pytest.param((), marks=pytest.mark.slow), ALL])
 def test_smoother_is_the_dense_solution(problem, unknown):
     linear = problem(unknown)
     found = filtered(linear)
@@ -252,7 +252,7 @@ def test_median():
     assert found[3] == 0
 
 
-@pytest.mark.parametrize("unknown", [(), ALL])
+@pytest.mark.parametrize("unknown", [pytest.param((), marks=pytest.mark.slow), ALL])
 def test_derivatives_of_the_solution_are_those_through_the_filter(problem, unknown):
     """Every number of the system moved at once: the response against differentiating filter and smoother."""
     linear = problem(unknown)

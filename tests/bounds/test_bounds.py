@@ -61,6 +61,7 @@ def test_gyro_bias_bounds_a_vehicle_at_rest():
     np.testing.assert_allclose(heading(bound(made), 300.0), drift, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_more_noise_and_fewer_fixes_are_worse():
     made = scenario("dvl-sturn")
     usual = bound(made)

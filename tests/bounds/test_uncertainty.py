@@ -126,6 +126,7 @@ def test_behind_a_prefilter_it_is_indicative():
     assert np.isfinite(found.covariance).all()
 
 
+@pytest.mark.slow
 def test_a_wide_open_heading_is_indicative(log):
     found = assess(build("oba", "body"), log, imu_errors("mems"), every=10)
     hint = (np.asarray(found.status) & Status.INDICATIVE) > 0

@@ -56,6 +56,7 @@ def test_shorter_intervals_close_better():
     assert errors[1] < 0.35 * errors[0]
 
 
+@pytest.mark.slow
 def test_half_an_hour_at_rest():
     """Without errors of sensors or start, pure navigation stays within a metre (the vertical is unstable)."""
     states, exact = navigated("disturbed", 20, condition=1, duration=1800.0)

@@ -94,6 +94,7 @@ class Damped(ja.AbstractWeight):
         return state, jnp.exp(-context.time / (100.0 * self.gamma))
 
 
+@pytest.mark.slow
 def test_tunables_may_be_traced(log):
     """Built or set inside jit, vmap and grad: a number of a method is a leaf like any other."""
     epochs, observe = ja.epochs_from_log(log), ja.BodyVelocity(transport_rate=False)

@@ -108,6 +108,7 @@ def test_page(tmp_path):
     assert lines[1:] == ["name,oba; 0.57,yaw deg,0.98,0.07", "name,oba; 0.57,runs,40,"]
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_whatever_else_is_run():
     methods = {"oba": build("oba", "body"), "halves": build("oba", "body", {"observe.interval_samples": 100})}
     made = scenario("dvl-sturn", duration=12.0)

@@ -84,7 +84,7 @@ def epochs_of(arrays, log, filtered, every=None):
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("force", ["none", "vondrak"])
+@pytest.mark.parametrize("force", [slow("none"), "vondrak"])
 def test_frozen(shared, name, force):
     """From the same start. The columns of the frozen biases are accelerometer then gyro (the README says otherwise)."""
     arrays, log = case(shared, name)
@@ -312,6 +312,7 @@ def test_online_equals_offline():
         np.testing.assert_allclose(row.covariance, whole.covariance[k], rtol=1e-9, atol=1e-20)
 
 
+@pytest.mark.slow
 def test_an_epoch_without_measurement_is_bridged():
     log = short()
     method = build("fine")

@@ -34,6 +34,7 @@ def test_ring_laser_from_the_native_format(shared, recipe):
     assert roll == pytest.approx(0.311, abs=0.01)
 
 
+@pytest.mark.slow
 def test_car_windows(shared):
     """3.8 deg median with the gyro bias, 0.57 without (un-normalised OBA)."""
     import dataclasses

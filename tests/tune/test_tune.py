@@ -88,6 +88,7 @@ def test_the_search_ends_where_a_grid_does(tune, tuned):
     assert tuned.evaluations == RUNS * len(tuned.history.loss)
 
 
+@pytest.mark.slow
 def test_the_same_again(made):
     one, again = (run(of(made, steps=6, rate=0.3, seed=3)) for _ in range(2))
     assert again.history.loss == one.history.loss

@@ -122,11 +122,11 @@ STILL = {"observe.transport_rate": False}
         ("wahba_centred", "centred_oba", {"observe.transport_rate": False}),
         slow("wahba_centred_full", "centred_oba", {}),
         ("request_rho0.05", "request", STILL),
-        ("request_rho0.1", "request", {**STILL, "estimate.rho": 0.1}),
+        slow("request_rho0.1", "request", {**STILL, "estimate.rho": 0.1}),
         slow("optrequest_constR", "optimal_request", {**STILL, "estimate.noise": "constant"}),
         ("optrequest_physR", "optimal_request", STILL),
         ("votvk_physR_k1", "vo_tvk", STILL),
-        ("votvk_physR_k0.1", "vo_tvk", {**STILL, "estimate.kappa": 0.1}),
+        slow("votvk_physR_k0.1", "vo_tvk", {**STILL, "estimate.kappa": 0.1}),
         slow("votvk_constR_k1", "vo_tvk", {**STILL, "estimate.noise": "constant"}),
     ],
 )
@@ -170,7 +170,7 @@ FIXED = {"estimate.noise": "fixed", "estimate.variance": 1e-7}
 EACH = {"estimate.averaging": 0.0}
 
 
-@pytest.mark.parametrize("name", ["self_sway_noisefree_300s", "self_sway_table2_300s"])
+@pytest.mark.parametrize("name", ["self_sway_noisefree_300s", slow("self_sway_table2_300s")])
 @pytest.mark.parametrize(
     ("result", "recipe", "parameters", "early_deg", "late_deg"),
     [
