@@ -188,7 +188,8 @@ def _rows_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Found:
         return group(jnp.asarray(numbers))
     index = np.minimum(np.arange(-(-len(numbers) // LANES) * LANES), len(numbers) - 1)
     found = jax.lax.map(group, jnp.asarray(numbers[index].reshape(-1, LANES)))
-    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., : len(numbers)], found)
+    joined = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], index.size), found)
+    return jax.tree.map(lambda x: x[..., : len(numbers)], joined)
 
 
 def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution:
