@@ -59,7 +59,9 @@ class Times:
             show("")
             show(f"{title:44s}{'tests':>7s}{'CPU s':>9s}{'programs':>10s}{'compiling s':>13s}")
             for name, total in sorted(sums.items(), key=lambda x: -x[1][1]):
-                show(f"{name:44s}{total[0]:7d}{total[1]:9.1f}{total[2]:10d}{total[3]:13.1f}{total[4]:10.1f}{total[5]:10.1f}")
+                show(
+                    f"{name:44s}{total[0]:7d}{total[1]:9.1f}{total[2]:10d}{total[3]:13.1f}{total[4]:10.1f}{total[5]:10.1f}"
+                )
         total = sum(spent[0] for spent in self.tests.values())
         show(f"{'all':44s}{len(self.tests):7d}{total:9.1f}")
         show("")

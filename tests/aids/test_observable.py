@@ -62,6 +62,7 @@ def test_standing_vehicle_heading_error_at_the_crossing():
     assert 3.0 < np.sqrt(np.mean(np.square(errors))) < 25.0
 
 
+@pytest.mark.slow
 def test_real_standing_vehicle_heading_at_the_crossing(shared):
     from jaxalign import read
 

@@ -43,7 +43,8 @@ def test_the_grade_is_that_of_the_data(grade):
     assert (np.abs(attitude_error_deg(found, log)[-1]) < 3.5 * np.rad2deg(found.sd[-1])).all()
 
 
-@pytest.mark.parametrize("grade", ["navigation", pytest.param("mems", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("grade", ["navigation", "mems"])
 def test_standing(grade):
     """Epochs of 1 s; with gyroscopes of 200 deg/h the Earth's rate is not seen, and the heading is said to be open."""
     log = of_grade("sway", grade, duration=200.0)

@@ -24,7 +24,7 @@ def heading(found, *times):
     [
         ("dvl-sturn", (100, 200, 300), (2.67, 0.472, 0.205)),
         pytest.param("dvl-accturn", (100, 200, 300), (0.663, 0.283, 0.054), marks=pytest.mark.slow),
-        ("gps-zigzag", (50, 100, 150, 200, 250), (3.37, 1.59, 1.43, 0.807, 0.743)),
+        pytest.param("gps-zigzag", (50, 100, 150, 200, 250), (3.37, 1.59, 1.43, 0.807, 0.743), marks=pytest.mark.slow),
     ],
 )
 def test_figures(name, times, known):

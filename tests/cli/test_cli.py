@@ -145,6 +145,7 @@ def test_outputs_never_destroy(files, tmp_path, capsys):
     assert (tmp_path / "real.npz").is_file()
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_costs_no_results(files, tmp_path):
     """`jaxalign align ... | true`, and a full disk behind standard output."""
     arguments = [sys.executable, "-m", "jaxalign", "align", str(files / "good.npz"), "--method", "oba", "--every", "60"]
@@ -160,6 +161,7 @@ def test_a_reader_that_leaves_costs_no_results(files, tmp_path):
         assert run.stderr.startswith("jaxalign: error: ")
 
 
+@pytest.mark.slow
 def test_an_unknown_backend_is_no_matter(files, tmp_path):
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
     arguments = ["align", str(files / "good.npz"), "--method", "oba", "--plot", str(tmp_path / "o.pdf")]

@@ -47,6 +47,7 @@ def test_closes_against_the_simulator(name, options):
     assert np.abs(states.h - exact.h).max() < 0.02
 
 
+@pytest.mark.slow
 def test_shorter_intervals_close_better():
     """Second order: half the interval, a quarter of the error."""
     errors = []
@@ -66,6 +67,7 @@ def test_half_an_hour_at_rest():
     np.testing.assert_allclose(states.velocity.array, 0.0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_tilt_swings_with_schuler():
     """Closed form at rest, away from the Earth's rate: velocity g psi / w_s sin(w_s t), period 84.4 min."""
     made = noiseless(scenario("disturbed", condition=1, duration=1800.0))

@@ -236,7 +236,8 @@ def test_order_of_the_error_in_a_smooth_motion(scheme, rotation_order, velocity_
     assert orders[1] > velocity_order - 0.2
 
 
-@pytest.mark.parametrize(("scheme", "every"), [("pairs", 3), pytest.param("lookback", 2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("scheme", "every"), [("pairs", 3), ("lookback", 2)])
 def test_derivatives(scheme, every):
     """With respect to every increment; at zero rotation all series are at their zero."""
     th, dv = record(4)

@@ -122,6 +122,7 @@ def test_own_optimiser_and_own_loss(made):
     assert free[1] != free[0]
 
 
+@pytest.mark.slow
 def test_early_stop(made):
     found = run(of(made, steps=50, check=1, patience=2), optax.sgd(0.0))  # it stays where it is
     assert found.stopped == "nothing better over 2 looks at the runs held out"
@@ -319,6 +320,7 @@ def test_bad_losses(loss, bad):
         LOSSES[loss](**bad)
 
 
+@pytest.mark.slow
 def test_command_then_align_and_study(tmp_path, monkeypatch, capsys):
     """The shapes of the tests above, and their programs."""
     monkeypatch.chdir(tmp_path)

@@ -45,12 +45,14 @@ def test_transport_rate_errors_grow_with_the_speed():
     assert 0.005 < error[300] < 0.015
 
 
+@pytest.mark.slow
 def test_recursive_coriolis_costs_what_is_known():
     time, error, _, _ = run("dvl-sturn", "oba", **{"observe.coriolis": "recursive"})
     assert 0.02 < error[time >= 60].max() < 0.07
     assert 1e-3 < error[-1].max() < 4e-3
 
 
+@pytest.mark.slow
 def test_feedback_every_tenth_epoch_costs_what_the_readme_says():
     """The transport rate is turned by attitudes up to ten epochs old."""
     log = simulate("dvl-sturn", 1, noise=False)
@@ -60,6 +62,7 @@ def test_feedback_every_tenth_epoch_costs_what_the_readme_says():
         assert low < cost[1] - cost[0] < high
 
 
+@pytest.mark.slow
 def test_neglected_transport_rate_is_the_predicted_yaw_bias():
     """-v_N / (R w_ie cos lat) with the mean north velocity (Xu's scenario: 0.43 deg at 3 m/s)."""
     from jaxalign.earth import EARTH_RATE, radii
@@ -85,6 +88,7 @@ def test_swaying_base(recipe):
     assert error[time >= 60, :2].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_triad_needs_a_still_base():
     from jaxalign.simulate import scenario
 

@@ -8,9 +8,9 @@ from slopes import Slopes
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
 # Their compilation takes a minute each: test_fine.py, and test_robust_map.py, test_tunables.py, test_robust.py.
 GRADIENTS_ELSEWHERE = ("fine", "robust_map")
-# A recursion with a weight, and a whole record of a standing vehicle. The others are slow tests; their slots have tests
-# of their own.
-QUICK = ("roba", "triad")
+# A whole record of a standing vehicle. The others are slow tests; their slots have tests of their own (test_slots.py),
+# and tests/tune goes down the slope of a recursion.
+QUICK = ("triad",)
 rows = pytest.mark.parametrize(
     ("name", "aid"),
     [
