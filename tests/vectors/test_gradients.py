@@ -8,8 +8,8 @@ from slopes import Slopes
 WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
 # Their compilation takes a minute each: test_fine.py, and test_robust_map.py, test_tunables.py, test_robust.py.
 GRADIENTS_ELSEWHERE = ("fine", "robust_map")
-# A whole record of a standing vehicle. The others are slow tests; their slots have tests of their own (test_slots.py),
-# and tests/tune goes down the slope of a recursion.
+# A whole record of a standing vehicle. The others are slow tests; their slots have tests of their own (test_slots.py);
+# a recursion with a weight: test_tunables.py.
 QUICK = ("triad",)
 rows = pytest.mark.parametrize(
     ("name", "aid"),

@@ -97,7 +97,7 @@ TABLE = [
 ]
 FREE = {"robust_map": 1e6}
 STEPS = {"moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
-QUICK = ("roba",)  # whose programs test_gradients.py has compiled
+QUICK = ("roba",)
 
 
 def expanded():
@@ -141,28 +141,24 @@ def test_derivatives(name, aid, settings, active, idle):
         assert (slope != 0) == (path in active), path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["low", "high"])
 @pytest.mark.parametrize(
     ("name", "aid", "settings"),
     [
         ("roba", "body", {}),
-        *[
-            pytest.param(name, aid, settings, marks=pytest.mark.slow)
-            for name, aid, settings in (
-                ("moba", "body", {}),
-                ("moba", "body", {"weight.gate": "smooth"}),
-                ("rkf_oba", "body", {}),
-                ("request", "nav", {}),
-                ("optimal_request", "nav", CONSTANT),
-                ("vo_tvk", "nav", CONSTANT),
-                ("vo_tvk", "nav", {}),
-                ("quaternion_kf", "static", {"estimate.noise": "fixed"}),
-                ("quaternion_kf", "static", {}),
-                ("rls_quaternion_kf", "static", {}),
-                ("fine", "static", {}),
-                ("robust_map", "body", {"calibrate": "mounting+latency+lever+slow"}),
-            )
-        ],
+        ("moba", "body", {}),
+        ("moba", "body", {"weight.gate": "smooth"}),
+        ("rkf_oba", "body", {}),
+        ("request", "nav", {}),
+        ("optimal_request", "nav", CONSTANT),
+        ("vo_tvk", "nav", CONSTANT),
+        ("vo_tvk", "nav", {}),
+        ("quaternion_kf", "static", {"estimate.noise": "fixed"}),
+        ("quaternion_kf", "static", {}),
+        ("rls_quaternion_kf", "static", {}),
+        ("fine", "static", {}),
+        ("robust_map", "body", {"calibrate": "mounting+latency+lever+slow"}),
     ],
 )
 def test_finite_at_the_bounds(name, aid, settings, where):
