@@ -89,6 +89,7 @@ def _rounds(model: Model, problem: Problem, state: State, iterations: int) -> tu
 
 def _searched(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> tuple[Readout, State]:
     """All starts; the solution and the state that it was read from."""
+    problem = dataclasses.replace(problem, length=jnp.max(problem.last) + 1)
 
     def search(first: Any, number: Any) -> Any:
         start = jax.tree.map(
@@ -216,4 +217,4 @@ def _groups(model: Model, epochs: Epochs, rows: Epoch, last: np.ndarray, lanes: 
             return np.broadcast_to(np.asarray(x), (len(last),))[index]
 
         own = dataclasses.replace(model, imu=jax.tree.map(of_lanes, model.imu))
-        yield own, Problem(rows, epochs.site, epochs.aid_sd, last[index]), count
+        yield own, Problem(rows, epochs.site, epochs.aid_sd, last[index], np.max(last[index]) + 1), count

@@ -131,8 +131,8 @@ class RobustMap(eqx.Module):
         names = tuple(self.unknown)
         sd = [x for name in names for x in known[name]]
         fade = [self.slow_time if name == "slow" else jnp.inf for name in names for _ in known[name]]
-        stack, limit = _stacked(self), np.float64(self.tolerance)
-        return Model(self.imu, self.outliers, self.spread, stack(sd), stack(fade), limit, names, self.noise, self.aid)
+        sd, fade, limit = _stacked(sd), _stacked(fade), np.float64(self.tolerance)
+        return Model(self.imu, self.outliers, self.spread, sd, fade, limit, names, self.noise, self.aid)
 
     def epochs(self, log: Log) -> Epochs:
         """Preintegrate a log for this method."""
@@ -170,11 +170,11 @@ class RobustMap(eqx.Module):
         return align(self, log, every)
 
 
-def _stacked(method: RobustMap) -> Callable[[list[Any]], Any]:
-    """On the host without a program of its own for a few numbers."""
-    if any(isinstance(x, Tracer) for x in jax.tree.leaves(method)):
-        return lambda numbers: jnp.stack([jnp.asarray(x, jnp.float64) for x in numbers]) if numbers else jnp.zeros(0)
-    return lambda numbers: np.array([float(x) for x in numbers], np.float64)
+def _stacked(numbers: list[Any]) -> Any:
+    """(n,); on the host without a program of its own for a few numbers."""
+    if any(isinstance(x, Tracer) for x in numbers):
+        return jnp.stack([jnp.asarray(x, jnp.float64) for x in numbers])
+    return np.array([float(x) for x in numbers], np.float64)
 
 
 def _rows_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Found:
@@ -193,28 +193,42 @@ def _rows_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Found:
 
 
 def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution:
-    """Rows and runs as lanes, a group of runs at a time."""
-    runs, count = epochs.rows.dvel.x.shape[-1], len(numbers)
-    together = max(1, min(runs, LANES // count))
-    index = np.minimum(np.arange(-(-runs // together) * together), runs - 1).reshape(-1, together)
+    """Runs as lanes, and rows beside them where there are few runs; a group at a time.
 
-    def group(some: Any) -> Solution:
+    The same row of many runs: they need about as many steps, and nothing of what comes later.
+    """
+    runs, count = epochs.rows.dvel.x.shape[-1], len(numbers)
+    together = min(runs, LANES)
+    beside = min(count, max(1, LANES // together))
+    of_runs, of_rows = (
+        np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
+        for n, size in ((runs, together), (count, beside))
+    )
+
+    def group(some: Any) -> Found:
+        chosen, lasts = some
+
         def lanes(x: Any) -> Any:
             if x.ndim == 1:
                 return x[:, None]
-            return jnp.broadcast_to(x[:, some][:, :, None], (len(x), together, count)).reshape(len(x), -1)
+            return jnp.broadcast_to(x[:, chosen][:, :, None], (len(x), together, beside)).reshape(len(x), -1)
 
-        rows = jax.tree.map(lanes, epochs.rows)
-        problem = Problem(rows, epochs.site, epochs.aid_sd, jnp.tile(jnp.asarray(numbers), together))
+        problem = Problem(jax.tree.map(lanes, epochs.rows), epochs.site, epochs.aid_sd, jnp.tile(lasts, together))
         found = traced(method.model, problem, method.iterations, method.starts)
-        found = jax.tree.map(lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], together, count), -2, 0), found)
-        own = jax.tree.map(
-            lambda x: x[:, some].T if x.ndim > 1 else jnp.broadcast_to(x, (together, len(x))), epochs.rows
-        )
-        return jax.vmap(lambda rows, found: _assembled_rows(method, rows, numbers, found))(own, found)
+        return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], together, beside), -2, 0), found)
 
-    solutions = jax.lax.map(group, jnp.asarray(index))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:runs], solutions)
+    pairs = np.repeat(of_runs, len(of_rows), axis=0), np.tile(numbers[of_rows], (len(of_runs), 1))
+    found = jax.lax.map(group, jax.tree.map(jnp.asarray, pairs))
+
+    def by_run(x: Any) -> Any:
+        """(groups, runs, ..., rows) of each to (runs, ..., rows) of all."""
+        x = jnp.moveaxis(x.reshape(len(of_runs), len(of_rows), *x.shape[1:]), 1, -2)
+        return x.reshape(of_runs.size, *x.shape[2:-2], of_rows.size)[:runs, ..., :count]
+
+    rows = jax.tree.map(lambda x: x.T if x.ndim > 1 else jnp.broadcast_to(x, (runs, len(x))), epochs.rows)
+    return jax.vmap(lambda rows, found: _assembled_rows(method, rows, numbers, found))(
+        rows, jax.tree.map(by_run, found)
+    )
 
 
 def _assembled(method: RobustMap, epochs: Epochs, numbers: np.ndarray, found: Found) -> Solution:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.batch.rows import over_rows
 from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Intervals
 
 __all__ = [
@@ -68,6 +69,7 @@ class LinearProblem(eqx.Module):
         variance: (K, m, L) of the noise; any positive number where there is no measurement.
         used: (K, L) where there is one.
         prior: of the first errors.
+        length: of the rows that are looked at, see :func:`jaxalign.batch.rows.over_rows`; None: of all.
     """
 
     intervals: Intervals
@@ -77,6 +79,7 @@ class LinearProblem(eqx.Module):
     variance: Float[Array, "K m L"]
     used: Bool[Array, "K L"]
     prior: Prior
+    length: Any = None
 
 
 class Filtered(eqx.Module):
@@ -214,7 +217,12 @@ def filtered(problem: LinearProblem, keep: bool = False) -> Filtered:
     prior = problem.prior
     start = (prior.mean, jnp.eye(len(prior.mean))[:, :, None] * prior.variance[:, None], jnp.zeros(lanes))
     rows = (problem.intervals, problem.process, problem.gap, problem.slope, problem.variance, problem.used)
-    last, (kept, innovation, gain) = jax.lax.scan(step, start, rows)
+
+    def like() -> Any:
+        gap = problem.gap[0]
+        return (start[:2] if keep else None), gap, jnp.zeros((len(prior.mean), *gap.shape))
+
+    last, (kept, innovation, gain) = over_rows(step, start, rows, problem.length, like)
     mean, covariance = kept if keep else last[:2]
     return Filtered(mean, covariance, innovation, gain, last[2])
 
@@ -254,7 +262,9 @@ def smoothed(problem: LinearProblem, found: Filtered) -> Smoothed:
         return transposed(interval, process.fade, r), (r, u)
 
     rows = (problem.intervals, process, problem.slope, found.innovation, found.gain)
-    before, (costate, pull) = jax.lax.scan(backward, jnp.zeros_like(prior.mean), rows, reverse=True)
+    none = jnp.zeros_like(prior.mean)
+    like, length = (lambda: (none, problem.gap[0])), problem.length
+    before, (costate, pull) = over_rows(backward, none, rows, length, like, reverse=True)
 
     def forward(x: Any, row: Any) -> Any:
         interval, process, costate = row
@@ -263,5 +273,5 @@ def smoothed(problem: LinearProblem, found: Filtered) -> Smoothed:
         return x, x
 
     first = prior.mean + prior.variance * before
-    error = jax.lax.scan(forward, first, (problem.intervals, process, costate))[1]
+    error = over_rows(forward, first, (problem.intervals, process, costate), length, lambda: first)[1]
     return Smoothed(first, error, costate, before, pull)

@@ -79,12 +79,15 @@ class Problem(eqx.Module):
         site: leaves (), or (L,).
         stated: standard deviation of the aid, m/s, () or (L,).
         last: (L,) epoch up to which fixes count.
+        length: epochs that count in any lane, see :func:`jaxalign.batch.rows.over_rows`; None: all, as derivatives
+            need it.
     """
 
     rows: Epoch
     site: Site
     stated: Float[Array, "*L"]
     last: Any
+    length: Any = None
 
     @property
     def on(self) -> Bool[Array, "K L"]:
@@ -210,14 +213,15 @@ def _process(model: Model, intervals: Intervals) -> Process:
 def linearized(model: Model, problem: Problem, state: State) -> LinearProblem:
     """The errors of the trajectory and the fixes that measure them."""
     used = problem.used
-    intervals = mechanized(problem.rows, problem.site, state.at, state.q_n0n, problem.on)
+    intervals = mechanized(problem.rows, problem.site, state.at, state.q_n0n, problem.on, problem.length)
     unknowns = {name: state.unknowns[where] for name, where in parts_of(model.unknown).items()}
     velocity, dt = problem.rows.velocity, intervals.dt
     found = fixes(state.at, intervals.q_n0n, dt, velocity, used, model.aid, unknowns, state.settled)
     each = state.variance * state.times / jnp.where(used, jnp.maximum(state.weight, _LEAST), 1.0)
     prior = _prior(model, state, jnp.maximum(problem.stated, LEAST_SD))
     process = _process(model, intervals)
-    return LinearProblem(intervals, process, found.gap, found.slope, each[:, None] * found.variance, used, prior)
+    variance = each[:, None] * found.variance
+    return LinearProblem(intervals, process, found.gap, found.slope, variance, used, prior, problem.length)
 
 
 def step(model: Model, problem: Problem, state: State, late: Any, final: Any) -> tuple[State, Readout]:

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxalign.batch.rows import over_rows
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
 from jaxalign.observe.frames import Place, gravity_impulse, turn
@@ -122,7 +123,7 @@ def _over_the_earth(site: Site, velocity: Vec3, dt: Any) -> tuple[Vec3, Any]:
     return place.earth_rate + place.transport_rate(velocity), place.gravity
 
 
-def _turned_and_fallen(rate: Vec3, gravity: Any, dt: Any) -> tuple[Quat, Vec3]:
+def _turned_and_fallen(rate: Vec3, gravity: Any, dt: Any, length: Any) -> tuple[Quat, Vec3]:
     """N at the epochs, and what gravity gives in each interval, m/s, n0."""
 
     def step(q_n0n: Quat, row: Any) -> tuple[Quat, tuple[Quat, Vec3]]:
@@ -132,10 +133,10 @@ def _turned_and_fallen(rate: Vec3, gravity: Any, dt: Any) -> tuple[Quat, Vec3]:
         return q_n0n, (q_n0n, fallen)
 
     one = jax.tree.map(lambda x: x * jnp.ones(dt.shape[1:]), Quat.identity())
-    return jax.lax.scan(step, one, (rate, gravity, dt))[1]
+    return over_rows(step, one, (rate, gravity, dt), length, lambda: (one, one.vector))[1]
 
 
-def mechanized(rows: Epoch, site: Site, at: Trajectory, q_n0n: Quat, on: Any) -> Intervals:
+def mechanized(rows: Epoch, site: Site, at: Trajectory, q_n0n: Quat, on: Any, length: Any = None) -> Intervals:
     """Mechanize every interval from the state before it.
 
     A tilt turns what the force gave by the velocities of the trajectory, not by the accelerometers: then turning the
@@ -150,6 +151,7 @@ def mechanized(rows: Epoch, site: Site, at: Trajectory, q_n0n: Quat, on: Any) ->
         q_n0n: n at the epochs by an earlier trajectory: it tells the velocity in n and the direction of gravity. What
             it is off, some 1e-4 rad, the next one is not.
         on: (K, L) whether the interval before the epoch counts; where not, nothing happens.
+        length: epochs that count in any lane, see :func:`jaxalign.batch.rows.over_rows`; None: all.
     """
     before = _before(at)
     dt = jnp.where(on, rows.dt, 0.0)
@@ -157,7 +159,7 @@ def mechanized(rows: Epoch, site: Site, at: Trajectory, q_n0n: Quat, on: Any) ->
     middle = (before.velocity + at.velocity) * 0.5
     n_before = _before(q_n0n)
     rate, gravity = _over_the_earth(site, n_before.conjugate().rotate(middle), dt)
-    q_n0n, fallen = _turned_and_fallen(rate, gravity, dt)
+    q_n0n, fallen = _turned_and_fallen(rate, gravity, dt, length)
 
     measured = Increment(rows.rotation, rows.dvel).corrected(before.gyro, before.accel, rows.dt)
     rotation = _rescaled(measured.rotation).positive()
