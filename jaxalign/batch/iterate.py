@@ -27,7 +27,7 @@ __all__ = ["LANES", "Found", "on_host", "padded", "traced"]
 
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
-_POLISH = 5  # steps that are differentiated, from the solution on
+_POLISH = 16  # times that a change of the solution passes through the step: each leaves a third to a half of the error
 
 
 class Found(NamedTuple):
@@ -110,7 +110,7 @@ def _searched(model: Model, problem: Problem, begun: State, iterations: int, sta
 
 @eqx.filter_custom_jvp
 def _converged(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> Readout:
-    """The solution; its derivatives are those of the last steps, from the solution itself: nothing else is kept."""
+    """The solution; its derivatives are those of the fixed point of the step."""
     return _searched(model, problem, begun, iterations, starts)[0]
 
 
@@ -119,14 +119,27 @@ def _converged_jvp(primals: Any, tangents: Any) -> Any:
     model, problem, begun, iterations, starts = primals
     read, state = jax.lax.stop_gradient(_searched(model, problem, begun, iterations, starts))
 
-    def polished(model: Model, problem: Problem) -> Readout:
-        one = jax.checkpoint(lambda state, _: (step(model, problem, state, True, False)[0], None), prevent_cse=False)
-        moving = dataclasses.replace(state, moving=jnp.ones_like(state.moving))
-        last, _ = jax.lax.scan(one, moving, None, length=_POLISH)
-        return step(model, problem, last, True, True)[1]
+    state = dataclasses.replace(state, moving=jnp.ones_like(state.moving))
+    numbers, rest = eqx.partition(state, eqx.is_inexact_array)
 
-    _, moved = eqx.filter_jvp(polished, (model, problem), (tangents[0], tangents[1]))
-    return read, moved
+    def after(model: Model, problem: Problem, numbers: Any) -> Any:
+        new, _ = step(model, problem, eqx.combine(numbers, rest), True, False)
+        return eqx.filter(new, eqx.is_inexact_array)
+
+    given = (tangents[0], tangents[1])
+    _, by_figures = eqx.filter_jvp(lambda m, p: after(m, p, numbers), (model, problem), given)
+    _, onward = jax.linearize(lambda x: after(model, problem, x), numbers)
+
+    def again(moved: Any, _: Any) -> tuple[Any, None]:
+        return jax.tree.map(lambda x, y: x if y is None else x + y, onward(moved), by_figures), None
+
+    moved, _ = jax.lax.scan(again, jax.tree.map(jnp.zeros_like, numbers), None, length=_POLISH)
+
+    def readout(model: Model, problem: Problem, numbers: Any) -> Readout:
+        return step(model, problem, eqx.combine(numbers, rest), True, True)[1]
+
+    _, changed = eqx.filter_jvp(readout, (model, problem, numbers), (*given, moved))
+    return read, changed
 
 
 def traced(model: Model, problem: Problem, iterations: int, starts: int) -> Found:
