@@ -27,7 +27,7 @@ __all__ = ["LANES", "Found", "on_host", "padded", "traced"]
 
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
-_POLISH = 16  # times that a change of the solution passes through the step: each leaves a third to a half of the error
+_POLISH = 12  # times that a change of the solution passes through the step: each leaves less than half of the error
 
 
 class Found(NamedTuple):
