@@ -8,10 +8,14 @@ settings of JAX and by the text of this library.
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import pickle
 import re
+import threading
+from collections import defaultdict
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache, update_wrapper
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +23,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
+import numpy as np
 from jax.core import Tracer
 
 from jaxalign.compilation import settings
@@ -38,27 +43,47 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+class _Memory(dict[str, bytes]):
+    """In place of a store, for one process."""
+
+    hidden = staticmethod(nullcontext)
+
+    def put(self, key: str, value: bytes) -> None:
+        self[key] = value
+
+
 class Program(Generic[P, R]):
     """A function for the host, compiled as ``equinox.filter_jit`` does: arrays are arguments, all else is fixed.
 
     It is no more than that inside traced code, where nothing is kept (:func:`jaxalign.compilation.configure`), where
     JAX has been told to look for errors, and with classes from elsewhere, whose text may change unseen.
+
+    Args:
+        function: pure.
+        options: of XLA's compiler.
+        shared: it is called on several devices: also where nothing is kept it is compiled for one of them, and the
+            others have the same program. Threads that call it wait for each other's compilation.
     """
 
-    def __init__(self, function: Callable[P, R]):
-        self._function = function
-        self._usual = eqx.filter_jit(function)
+    def __init__(self, function: Callable[P, R], options: dict[str, Any] | None = None, shared: bool = False):
+        self._function, self._options = function, options
+        of_jax: dict[str, Any] = {"compiler_options": options} if options else {}
+        self._usual = eqx.filter_jit(function, **of_jax)
         self._ready: dict[Any, Callable[[list[Any]], Any] | None] = {}
+        self._memory = _Memory() if shared else None
+        self._alone = threading.Lock()
+        self._locks: dict[str, threading.Lock] = defaultdict(threading.Lock)
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Call the function, compiled for such arguments."""
-        store = settings.store()
+        store = self._memory if settings.store() is None else settings.store()
         if store is None or any(getattr(jax.config, name) for name in _ERRORS):
             return self._usual(*args, **kwargs)
         arrays, rest = eqx.partition((args, kwargs), eqx.is_array)
         leaves, given = jax.tree.flatten(arrays)
-        if any(isinstance(x, Tracer) for x in leaves):
+        device = None if any(isinstance(x, Tracer) for x in leaves) else _device(leaves)
+        if device is None:
             return self._usual(*args, **kwargs)
         fixed, around = jax.tree.flatten(rest)
         kinds = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves)
@@ -67,33 +92,44 @@ class Program(Generic[P, R]):
             hash(key)
         except TypeError:
             return self._usual(*args, **kwargs)  # it says what is wrong
-        if key not in self._ready:
-            while len(self._ready) >= _MOST:
-                self._ready.pop(next(iter(self._ready)))
-            self._ready[key] = self._made(store, key, leaves, given, rest)
-        ready = self._ready[key]
+        if (device, key) not in self._ready:
+            ready = self._made(store, key, leaves, given, rest, device)
+            with self._alone:
+                while len(self._ready) >= _MOST:
+                    self._ready.pop(next(iter(self._ready)))
+                self._ready[device, key] = ready
+        ready = self._ready[device, key]
         return self._usual(*args, **kwargs) if ready is None else ready(leaves)
 
-    def _made(self, store: Any, key: Any, leaves: list[Any], given: Any, rest: Any) -> Any:
+    def _made(self, store: Any, key: Any, leaves: list[Any], given: Any, rest: Any, device: Any) -> Any:
         """From the store, or for it; None where it cannot be found again."""
         name = f"{self._function.__module__}.{self._function.__qualname__}"
-        text = "\n".join((_library() or "", name, *map(repr, key), _settings()))
+        where = f"{device.platform} {device.device_kind} {self._options}"
+        text = "\n".join((_library() or "", name, *map(repr, key), _settings(), where))
         if not _library() or not _covered(key) or re.search(r" at 0x[0-9a-f]", text):
             return None
         entry = f"host-{self._function.__name__}-{hashlib.sha256(text.encode()).hexdigest()}"
-        try:
-            found = _loaded(store.get(entry), len(leaves))
-            if found is not None:
-                return found
-            with store.hidden():  # XLA writes only half of what it has itself read
-                made = _compiled(self._function, leaves, given, rest)
-            return _stored(store, entry, *made)
-        except (TypeError, ValueError, NotImplementedError, pickle.PickleError, AttributeError) as error:
-            _LOG.debug("jaxalign: %s is compiled as usual: %s", name, error)
-            return None
+        with self._alone:
+            lock = self._locks[entry]
+        with lock:
+            try:
+                memory = {} if self._memory is None else self._memory
+                found = _loaded(memory.get(entry) or store.get(entry), len(leaves), device)
+                if found is not None:
+                    return found
+                with store.hidden():  # XLA writes only half of what it has itself read
+                    made, numbered, others = _compiled(self._function, leaves, given, rest, self._options)
+                data = _serialized(made, numbered, others, device)
+            except (TypeError, ValueError, NotImplementedError, pickle.PickleError, AttributeError) as error:
+                _LOG.debug("jaxalign: %s is compiled as usual: %s", name, error)
+                return None
+            store.put(entry, data)
+            if self._memory is not None:  # a first process writes only
+                self._memory.put(entry, data)
+            return _callable(made, numbered, others)
 
 
-def _compiled(function: Callable[..., Any], leaves: list[Any], given: Any, rest: Any) -> tuple[Any, Any, Any]:
+def _compiled(function: Any, leaves: list[Any], given: Any, rest: Any, options: Any) -> tuple[Any, Any, Any]:
     """The executable, of flat arguments and results, and what the results are: a tree with their numbers, the rest."""
     made = []
 
@@ -105,30 +141,54 @@ def _compiled(function: Callable[..., Any], leaves: list[Any], given: Any, rest:
         return out
 
     flat.__name__ = flat.__qualname__ = function.__name__
-    return jax.jit(flat).lower(leaves).compile(), *made
+    return jax.jit(flat, compiler_options=options).lower(leaves).compile(), *made
 
 
-def _stored(store: Any, entry: str, executable: Any, numbered: Any, others: Any) -> Any:
+def _serialized(executable: Any, numbered: Any, others: Any, device: Any) -> bytes:
     from jax.experimental.serialize_executable import serialize
 
-    store.put(entry, pickle.dumps((serialize(executable)[0], numbered, others)))
-    return _callable(executable, numbered, others)
+    return pickle.dumps((serialize(executable)[0], device.id, numbered, others))
 
 
-def _loaded(data: bytes | None, count: int) -> Any:
-    """What was stored, ready to call; None where there is nothing or XLA does not take it."""
+def _loaded(data: bytes | None, count: int, device: Any) -> Any:
+    """What was stored, ready to call on a device; None where there is nothing or XLA does not take it."""
     from jax.experimental.serialize_executable import deserialize_and_load
 
     if data is None:
         return None
     taken = jax.tree.structure((([0] * count,), {}))
     try:
-        program, numbered, others = pickle.loads(data)
+        program, number, numbered, others = pickle.loads(data)
         results = jax.tree.structure([0] * len(jax.tree.leaves(numbered)))
-        executable = deserialize_and_load(program, taken, results, execution_devices=[_device()])
+        load = deserialize_and_load if number == device.id else _loaded_elsewhere
+        executable = load(program, taken, results, execution_devices=[device])
     except Exception:  # of any kind, also of XLA: as if it were not there
         return None
     return _callable(executable, numbered, others)
+
+
+def _loaded_elsewhere(program: bytes, taken: Any, results: Any, execution_devices: list[Any]) -> Any:
+    """As JAX's ``deserialize_and_load``, on another device than that which the program was compiled for.
+
+    JAX has no public way, and no promise that this one stays: where anything is missing the device compiles for itself.
+    """
+    from jax._src import compiler
+    from jax.experimental import serialize_executable
+
+    (device,) = execution_devices
+    options = compiler.get_compile_options(1, 1, np.array([[device.id]]), backend=device.client)
+
+    class Reader(serialize_executable._JaxPjrtUnpickler):
+        def persistent_load(self, pid: Any) -> Any:
+            if pid[0] == "exec":
+                return self.backend.deserialize_executable(pid[1], self.execution_devices, options)
+            return device if pid[0] == "device" else super().persistent_load(pid)
+
+    unloaded, kinds, no_kwargs = Reader(io.BytesIO(program), device.client, [device]).load()
+    loaded = unloaded.load()
+    if loaded.xla_executable.local_devices() != [device]:
+        raise RuntimeError("it stayed with its device")
+    return jax.stages.Compiled(loaded, [], taken.unflatten(kinds), results, no_kwargs=no_kwargs)
 
 
 def _callable(executable: Any, numbered: Any, others: Any) -> Callable[[list[Any]], Any]:
@@ -136,17 +196,21 @@ def _callable(executable: Any, numbered: Any, others: Any) -> Callable[[list[Any
     return lambda leaves: eqx.combine(tree.unflatten(executable(leaves)), others)
 
 
-def _device() -> Any:
-    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
-    return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
+def _device(leaves: list[Any]) -> Any:
+    """The one device that the arrays want; None if there are several."""
+    committed = [x.devices() for x in leaves if isinstance(x, jax.Array) and getattr(x, "committed", False)]
+    wanted = set().union(*committed)
+    if not wanted:
+        chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+        return chosen if isinstance(chosen, jax.Device) else jax.local_devices(backend=chosen)[0]
+    return wanted.pop() if len(wanted) == 1 else None
 
 
 def _settings() -> str:
-    """All settings of JAX that may change what is compiled, and the device."""
+    """All settings of JAX that may change what is compiled."""
     given = sorted(jax.config.values.items())
     values = {name: getattr(jax.config, name, value) for name, value in given if not _NO_MATTER.match(name)}
-    device = _device()
-    return f"{values} {device.platform} {device.device_kind} {device.id}"
+    return repr(values)
 
 
 @cache

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.prefilter.base import without_prefilter
@@ -62,16 +63,11 @@ class _Job(NamedTuple):
 _WIDE = {"xla_cpu_prefer_vector_width": 512}  # XLA's own choice is half of it; what the processor lacks it leaves alone
 
 
-def _compiled(f: Callable[..., Any]) -> Callable[..., Any]:
-    """A program for blocks of runs."""
-    options: dict[str, Any] = {"compiler_options": _WIDE} if jax.default_backend() == "cpu" else {}
-    return eqx.filter_jit(f, **options)
-
-
 @cache
-def _programs() -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """`_draw` and `_reduce`, compiled; not on import, which must not start JAX."""
-    return _compiled(_draw), _compiled(_reduce)
+def _programs() -> tuple[Program[..., Epochs], Program[..., Tally]]:
+    """`_draw` and `_reduce`, for blocks of runs; not on import, which must not start JAX."""
+    options = _WIDE if jax.default_backend() == "cpu" else None
+    return Program(_draw, options, shared=True), Program(_reduce, options, shared=True)
 
 
 def _draw(world: World, seed: jax.Array, numbers: jax.Array) -> Epochs:
@@ -111,10 +107,17 @@ def _jobs(study: Study) -> Iterator[_Job]:
 
 
 class _Worker:
-    """A device: it draws the runs of a block once for all methods, aligns and tallies them."""
+    """A device: it draws the runs of a block once for all methods, aligns and tallies them.
 
-    def __init__(self, study: Study, jobs: list[_Job], device: Any):
-        self.study, self.device = study, device
+    Args:
+        study: what to do.
+        jobs: of all methods.
+        device: which.
+        first: of the jobs, that it does first: devices begin with different ones, so that they compile side by side.
+    """
+
+    def __init__(self, study: Study, jobs: list[_Job], device: Any, first: int = 0):
+        self.study, self.device, self.first = study, device, first
         worlds = {job.feed: devices.placed(job.world, device) for job in jobs}
         self.jobs = [
             job._replace(world=worlds[job.feed], **devices.placed({k: getattr(job, k) for k in _OWN}, device))
@@ -129,11 +132,11 @@ class _Worker:
         draw, reduce = _programs()
         drawn: dict[str, Epochs] = {}
         out = {}
-        for job in self.jobs:
+        for job in (*self.jobs[self.first :], *self.jobs[: self.first]):
             if job.feed not in drawn:
                 drawn[job.feed] = draw(job.world, self.seed, placed)
             out[job.label] = reduce(job.method, drawn[job.feed], job.world.exact, job.where, job.judge, counted)
-        return jax.tree.map(np.asarray, out)
+        return {job.label: jax.tree.map(np.asarray, out[job.label]) for job in self.jobs}
 
 
 _OWN = ("method", "where", "judge")
@@ -232,8 +235,25 @@ def run(
     """
     if chunk is not None and (isinstance(chunk, bool) or chunk != int(chunk) or chunk < 1):
         raise UserError(f"chunk = {chunk!r}: must be a whole number of runs, at least 1")
-    jobs = list(_jobs(study))
     speaks = devices.is_first()
+    bar = _bar(progress and speaks, study.runs)
+    try:
+        return _run(study, bar, out, resume, chunk, warn)
+    finally:
+        bar.close()
+
+
+def _run(
+    study: Study,
+    bar: Any,
+    out: str | os.PathLike[str] | None,
+    resume: bool,
+    chunk: int | None,
+    warn: Callable[[str], None],
+) -> Result | None:
+    """See :func:`run`."""
+    speaks = devices.is_first()
+    jobs = list(_jobs(study))
     collected = _Collected(list(study.methods))
     done = np.zeros(-(-study.runs // study.block), bool)
     here = jax.local_devices()
@@ -264,8 +284,10 @@ def run(
 
     plan = list(_chunks(done, per_chunk))
     most = max((-(-blocks // jax.process_count()) for _, blocks in plan), default=0)  # of a process at once
-    workers = [_Worker(study, jobs, device) for device in here[:most]]
-    bar = _bar(progress and speaks, study.runs, min(int(done.sum()) * study.block, study.runs))
+    used = here[:most]
+    workers = [_Worker(study, jobs, device, i * len(jobs) // len(used)) for i, device in enumerate(used)]
+    bar.set_description("compiling" if plan else "")
+    bar.update(min(int(done.sum()) * study.block, study.runs))
     pool = ThreadPoolExecutor(len(here))
 
     def begin(first: int, blocks: int) -> list[Future[dict[str, Tally]]]:
@@ -280,6 +302,7 @@ def run(
             try:
                 for future in waiting.pop(0):
                     parts.append(future.result())
+                    bar.set_description("", refresh=False)
                     bar.update(min(study.block * jax.process_count(), bar.total - bar.n))
                 if i + 1 < len(plan):  # the devices go on while this chunk is written
                     waiting.append(begin(*plan[i + 1]))
@@ -297,7 +320,6 @@ def run(
                 raise _interrupted(study, jobs, collected, store) from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-        bar.close()
         if store is not None:
             store.close()
     return collected.result(study, jobs) if speaks else None
@@ -369,7 +391,8 @@ def _interrupted(study: Study, jobs: list[_Job], collected: _Collected, store: S
     return Interrupted(message, collected.result(study, jobs) if kept else None)
 
 
-def _bar(shown: bool, total: int, done: int) -> Any:
+def _bar(shown: bool, total: int) -> Any:
     from tqdm import tqdm
 
-    return tqdm(total=total, initial=done, unit="run", unit_scale=True, disable=None if shown else True, leave=False)
+    disable = None if shown else True  # None: where standard error is no terminal
+    return tqdm(total=total, desc="preparing", unit="run", unit_scale=True, disable=disable, leave=False)
