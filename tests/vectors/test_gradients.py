@@ -34,7 +34,7 @@ def test_gradients(name, aid):
     np.testing.assert_allclose(forward, reverse[:3], rtol=rounding, atol=1e-12)
     # m/s, rad: larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem
     # (vo_tvk has no corners).
-    velocity = {"rkf_oba": (5e-5, 2e-5), "roba": (2e-4, 1e-4)}.get(name, (1e-3, 2e-4))
+    velocity = {"rkf_oba": (5e-5, 2e-5), "revising_oba": (2e-5, 1e-5)}.get(name, (2e-4, 5e-5))
     terms = np.linalg.norm(by_velocity * slopes.direction)  # of which the first is the sum: they nearly cancel
     for i, steps in enumerate((velocity, (2e-3, 1e-3) if name == "vo_tvk" else (5e-5, 2e-5))):
         for h in steps:
