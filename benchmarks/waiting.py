@@ -1,8 +1,8 @@
 """`python -m benchmarks.waiting`: what a person waits for, cold and warm; into waiting.md.
 
 Each command is a process of its own. Cold: with an empty store of compiled programs; warm: the same again. With
-`--against DIR` (another checkout, such as a worktree of the commit before) each is run with that too, right before, and
-the ratio is given: CPU times of one machine at one time compare, others do not.
+`--against DIR` (another checkout, such as a worktree of the commit before) that one aligns the same log right before,
+without `--method`, and the ratio to its CPU time is given: CPU times of one machine at one time compare, others do not.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ STUDY = (
     *("study", "dvl-sturn", "--set", "outliers=fixed", "--runs", "1000"),
     *("--methods", "oba,roba,moba,rkf_oba,centred_oba,revising_oba,robust_map"),
 )
+DEAR = ("align HOURS", "study DVL-STURN")
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,10 @@ def measured(code: Path, arguments: Sequence[str], store: Path | str, out: Path)
     return Cost(used.ru_utime + used.ru_stime, wall, used.ru_maxrss / unit)
 
 
-def cells(cost: Cost, before: Cost | None) -> str:
+def cells(cost: Cost, unit: Cost | None) -> str:
     """Columns of the table."""
-    ratio = "" if before is None else f"{cost.cpu / before.cpu:.3f}"
-    was = "" if before is None else f"{before.cpu:.2f}"
-    return f"{cost.cpu:.2f} | {was} | {ratio} | {cost.wall:.2f} | {cost.memory:.0f}"
+    ratio = "" if unit is None else f"{cost.cpu / unit.cpu:.3f}"
+    return f"{cost.cpu:.2f} | {ratio} | {cost.wall:.2f} | {cost.memory:.0f}"
 
 
 def surroundings(folder: Path) -> list[str]:
@@ -99,33 +99,32 @@ def main() -> None:
         ]
         if options.long:
             measured(HERE, (*SIMULATE, "--set", "duration=7200", "--output", str(hours)), "off", text)
-            commands.append(("align HOURS", ("align", str(hours))))
+            commands.append((DEAR[0], ("align", str(hours))))
         if options.study:
-            commands.append(("study of `make run`", STUDY))
+            commands.append((DEAR[1], STUDY))
         lines: list[str] = []
         for name, arguments in commands:
             rows: dict[str, list[tuple[Cost, Cost | None]]] = {"cold": [], "warm": []}
-            for repeat in range(1 if name in ("align HOURS", "study of `make run`") else options.repeats):
+            for repeat in range(1 if name in DEAR else options.repeats):
                 store = folder / f"store-{len(lines)}-{repeat}"
-                for state in rows:
-                    before = None if against is None else measured(against, arguments, "off", text)
-                    rows[state].append((measured(HERE, arguments, store, text), before))
+                unit = None if against is None else measured(against, ("align", str(log)), "off", text)
+                for runs in rows.values():
+                    runs.append((measured(HERE, arguments, store, text), unit))
             for state, runs in rows.items():
-                cost, before = sorted(runs, key=lambda run: run[0].cpu / (run[1].cpu if run[1] else 1.0))[
-                    len(runs) // 2
-                ]
-                lines.append(f"| `{name}` | {state} | {cells(cost, before)} |")
+                cost, unit = sorted(runs, key=lambda run: run[0].cpu / (run[1].cpu if run[1] else 1.0))[len(runs) // 2]
+                lines.append(f"| `{name}` | {state} | {cells(cost, unit)} |")
                 print(lines[-1], flush=True)
         head = [
             "# What a person waits for",
             "",
             *surroundings(folder / "probe"),
             "",
-            f"The middle one of {options.repeats} runs. LOG: 300 s at 200 Hz, 301 epochs. Cold: nothing compiled is "
-            "stored. Before: the other checkout, in the same minutes.",
+            f"The middle one of {options.repeats} runs ({' and '.join(DEAR)}: one run). LOG: 300 s at 200 Hz, 301 epochs; "
+            "HOURS: two hours of it; the study is that of `make run`. Cold: nothing compiled is stored. Ratio: to the CPU "
+            "time of `align LOG` by the other checkout, in the same minutes.",
             "",
-            "| command | | CPU s | before | ratio | wall s | peak MB |",
-            "|---|---|---|---|---|---|---|",
+            "| command | | CPU s | ratio | wall s | peak MB |",
+            "|---|---|---|---|---|---|",
         ]
     options.out.write_text("\n".join([*head, *lines]) + "\n")
     print(f"wrote {options.out}")
