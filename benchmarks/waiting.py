@@ -119,9 +119,9 @@ def main() -> None:
             "",
             *surroundings(folder / "probe"),
             "",
-            f"The middle one of {options.repeats} runs ({' and '.join(DEAR)}: one run). LOG: 300 s at 200 Hz, 301 epochs; "
-            "HOURS: two hours of it; the study is that of `make run`. Cold: nothing compiled is stored. Ratio: to the CPU "
-            "time of `align LOG` by the other checkout, in the same minutes.",
+            f"The middle one of {options.repeats} runs ({' and '.join(DEAR)}: one run). LOG: 300 s at 200 Hz, 301 "
+            "epochs; HOURS: two hours of it; the study is that of `make run`. Cold: nothing compiled is stored. Ratio: "
+            "to the CPU time of `align LOG` by the other checkout, in the same minutes.",
             "",
             "| command | | CPU s | ratio | wall s | peak MB |",
             "|---|---|---|---|---|---|",
