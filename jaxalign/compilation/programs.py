@@ -92,13 +92,14 @@ class Program(Generic[P, R]):
             hash(key)
         except TypeError:
             return self._usual(*args, **kwargs)  # it says what is wrong
-        if (device, key) not in self._ready:
+        try:
+            ready = self._ready[device, key]
+        except KeyError:
             ready = self._made(store, key, leaves, given, rest, device)
             with self._alone:
                 while len(self._ready) >= _MOST:
                     self._ready.pop(next(iter(self._ready)))
                 self._ready[device, key] = ready
-        ready = self._ready[device, key]
         return self._usual(*args, **kwargs) if ready is None else ready(leaves)
 
     def _made(self, store: Any, key: Any, leaves: list[Any], given: Any, rest: Any, device: Any) -> Any:
@@ -112,20 +113,20 @@ class Program(Generic[P, R]):
         with self._alone:
             lock = self._locks[entry]
         with lock:
+            memory = {} if self._memory is None else self._memory
+            found = _loaded(memory.get(entry) or store.get(entry), len(leaves), device)
+            if found is not None:
+                return found
+            with store.hidden():  # XLA writes only half of what it has itself read
+                made, numbered, others = _compiled(self._function, leaves, given, rest, self._options)
             try:
-                memory = {} if self._memory is None else self._memory
-                found = _loaded(memory.get(entry) or store.get(entry), len(leaves), device)
-                if found is not None:
-                    return found
-                with store.hidden():  # XLA writes only half of what it has itself read
-                    made, numbered, others = _compiled(self._function, leaves, given, rest, self._options)
                 data = _serialized(made, numbered, others, device)
-            except (TypeError, ValueError, NotImplementedError, pickle.PickleError, AttributeError) as error:
-                _LOG.debug("jaxalign: %s is compiled as usual: %s", name, error)
-                return None
-            store.put(entry, data)
-            if self._memory is not None:  # a first process writes only
-                self._memory.put(entry, data)
+            except Exception as error:  # of any kind, also of XLA: it computes all the same
+                _LOG.debug("jaxalign: %s is not kept: %s", name, error)
+            else:
+                store.put(entry, data)
+                if self._memory is not None:  # a first process writes only
+                    self._memory.put(entry, data)
             return _callable(made, numbered, others)
 
 

@@ -31,13 +31,25 @@ def _turned(heading: Any, q_nb: Quat) -> Quat:
     return Quat.exp(Vec3(zero, zero, heading)) * q_nb
 
 
+def _unturned(state: FilterState) -> tuple[Vec3, Float[Array, "15 15"]]:
+    """Bias of the gyroscopes, and covariance, without what the error of the heading adds to it.
+
+    A mechanisation whose heading is off by psi turns the Earth's rate w by more than the linear ``psi x w``: the rest,
+    ``w_N psi^2 / 2`` southwards, is as constant as a bias, and the filter finds their sum.
+    """
+    w, zero = earth_rate(state.nav.lat).y, jnp.zeros_like(state.heading)
+    north = state.q_nb.conjugate().rotate(Vec3(zero, w, zero))
+    by_heading = jnp.eye(STATES).at[GYRO, _UP].set((north * state.heading).array)
+    return state.gyro_bias + north * (0.5 * state.heading**2), by_heading @ state.covariance @ by_heading.T
+
+
 class FilterState(eqx.Module):
     """What is carried from epoch to epoch.
 
     Attributes:
         nav: the mechanisation, corrected by all updates so far, but for ``heading``.
         heading: estimated error psi_U of its heading, rad, that is not taken out of it (``form="standing"``).
-        gyro_bias: estimate, rad/s, b.
+        gyro_bias: estimate, rad/s, b; it holds the square of ``heading`` too, see :func:`_unturned`.
         accel_bias: estimate, m/s^2, b.
         covariance: of the errors in the order of :mod:`jaxalign.fine.error_model`, SI.
         site: where the vehicle stands.
@@ -104,7 +116,8 @@ class ErrorFilter(eqx.Module):
             heading is right as it is (5 deg off keep most of it after 20 s of 1 cm/s); and a correction of the heading
             that follows the velocity of one epoch turns the force of the next. "standing": gravity in f x psi, and the
             error of the heading is estimated but not fed back into the mechanisation, whose heading stays that of the
-            coarse alignment; its constant error of some degrees is harmless.
+            coarse alignment. Its constant error of some degrees is harmless: what it adds to the Earth's rate is as
+            constant as a bias of the gyroscopes, and its square is taken out of the bias that is given.
 
     Source: the Vondrak paper (13)-(20). Joseph's form instead of (19); (13)'s Z has the sign of estimate minus truth.
     "standing" is none of the papers'.
@@ -194,7 +207,8 @@ class ErrorFilter(eqx.Module):
         covariance = keep @ covariance @ keep.T + gain @ (variance[:, None] * gain.T)
         covariance = 0.5 * (covariance + covariance.T)
         state = self._corrected(state, nav, error, covariance, held)
-        row = FilterRow(state.q_nb, state.gyro_bias, state.accel_bias, covariance, innovation, s, updated)
+        gyro_bias, covariance = _unturned(state)
+        row = FilterRow(state.q_nb, gyro_bias, state.accel_bias, covariance, innovation, s, updated)
         return state, row
 
     def _corrected(self, state: FilterState, nav: NavState, error: Any, covariance: Any, held: bool) -> FilterState:

@@ -131,6 +131,19 @@ def test_errors_of_the_function_pass(store, arguments):
         Program(turned)(*arguments, name="colour")
 
 
+def test_what_cannot_be_kept_computes_all_the_same(store, arguments, monkeypatch):
+    def refuse(*_):
+        raise RuntimeError("this device does not write programs")
+
+    monkeypatch.setattr(programs, "_serialized", refuse)
+    v, angle = arguments
+    program = Program(turned)
+    np.testing.assert_array_equal(program(v, angle)["along"], v.x)
+    program(v, angle)
+    assert traced == ["x"]
+    assert not store
+
+
 def test_memory_is_bounded(store, monkeypatch):
     monkeypatch.setattr(programs, "_MOST", 3)
     program = Program(lambda x: x + 1.0)

@@ -65,7 +65,7 @@ def test_modes_agree_with_differences(tune):
     (one, forward), (two, reverse) = (
         eqx.filter_jit(loss_and_slope)(objective, free, batch, mode) for mode in ("forward", "reverse")
     )
-    np.testing.assert_allclose(one, two, rtol=1e-10)
+    np.testing.assert_allclose(one, two, rtol=1e-9)  # two programs: the last bits grow a million times
     np.testing.assert_allclose(forward["weight.gamma"], reverse["weight.gamma"], rtol=1e-8)
     value = eqx.filter_jit(lambda x: objective({"weight.gamma": x}, batch))
     for h in (1e-4, 3e-5):

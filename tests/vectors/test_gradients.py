@@ -37,10 +37,11 @@ def test_gradients(name, aid):
     velocity = {"rkf_oba": (5e-5, 2e-5), "revising_oba": (1e-5, 5e-6)}.get(name, (2e-4, 5e-5))
     latitude = {"vo_tvk": (2e-3, 1e-3), "moba": (1e-5, 5e-6), "revising_oba": (5e-6, 2e-6)}.get(name, (5e-5, 2e-5))
     terms = np.linalg.norm(by_velocity * slopes.direction)  # of which the first is the sum: they nearly cancel
-    last_bits = np.finfo(float).eps / gap if gap > 0 else 0.0
+    # Steps in latitude as small as theirs show the last bits of an eigenvector.
+    last_bits = np.finfo(float).eps / gap if gap > 0 and name in ("moba", "revising_oba") else 0.0
     for i, steps in enumerate((velocity, latitude)):
         for h in steps:
-            atol = 2e-7 + 1e-4 * terms * (i == 0) + last_bits / h
+            atol = 2e-7 + 1e-4 * terms * (i == 0) + last_bits / h * (i == 1)
             np.testing.assert_allclose(forward[i], slopes.difference(i, h), rtol=1e-4, atol=atol)
     if aid != "static":
         assert abs(forward[0]) > 1e-6
