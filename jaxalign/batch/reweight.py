@@ -119,5 +119,6 @@ def settled(velocity: Vec3, left: Float[Array, "K L"], variance: Float[Array, "K
     total = jnp.maximum(jnp.sum(weight, axis=0), 1e-300)
     mean = jax.tree.map(lambda x: jnp.sum(weight * x, axis=0) / total, velocity)
     change = velocity - mean
-    size = jnp.maximum(change.norm2(), 1e-300)
-    return mean + change * root(jnp.maximum(1.0 - _SETTLED * left / size, 0.0))
+    size, noise = change.norm2(), _SETTLED * left
+    moves = size > noise
+    return mean + change * root(jnp.where(moves, 1.0 - noise / jnp.where(moves, size, 1.0), 0.0))

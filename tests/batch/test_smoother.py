@@ -12,7 +12,7 @@ import pytest
 from jaxalign import Quat, Vec3, epochs_from_log, rotation
 from jaxalign.batch import ImuErrors, fix, smoother, solver, trajectory
 from jaxalign.batch.fix import PARTS
-from jaxalign.batch.reweight import lower_median
+from jaxalign.batch.reweight import lower_median, settled
 from jaxalign.batch.smoother import Prior, propagate, transposed
 from jaxalign.batch.solve import solved
 from jaxalign.batch.solver import Model, Problem, State
@@ -239,6 +239,18 @@ def test_a_bias_that_is_not_known_leaves_its_prior(problem):
     defects = np.sum(linear.intervals.defect, axis=0)
     np.testing.assert_allclose(found.mean[GYRO], linear.prior.mean[GYRO] + defects[GYRO])
     assert (np.asarray(found.gain) == 0).all()
+
+
+def test_settled_velocities_and_their_derivatives():
+    """Changes within three times their variance are noise; a single fix has none."""
+    x = jnp.asarray([[1.0], [5.0], [3.01], [3.0]])
+    velocity, left = Vec3(x, 0.0 * x, 0.0 * x), jnp.full((4, 1), 0.25)
+    used = jnp.asarray([[True], [True], [False], [False]])
+    found = settled(velocity, left, jnp.ones((4, 1)), used).x
+    np.testing.assert_allclose(found[:, 0], [3 - np.sqrt(4 - 0.75), 3 + np.sqrt(4 - 0.75), 3, 3], atol=1e-12)
+    alone = used & (jnp.arange(4) == 0)[:, None]
+    slope = jax.grad(lambda v: jnp.sum(settled(Vec3(v, 0 * v, 0 * v), left, jnp.ones((4, 1)), alone).x))(x)
+    assert np.isfinite(slope).all()
 
 
 def test_median():
