@@ -15,6 +15,7 @@ from jaxalign.batch.robust_map import FEWEST_FIXES, RobustMap
 from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.methods import build
+from jaxalign.units import DEG_H, UG
 
 __all__ = ["NAME", "Choice", "choose"]
 
@@ -118,12 +119,12 @@ def _grade(base: RobustMap, log: Log, aid_sd: Any) -> tuple[str, tuple[str, ...]
     grade = next(x for x, value in likelihood.items() if value > best - _MARGIN)
     told = ", ".join(f"{x} {value - best:.1f}" for x, value in likelihood.items())
     why = f"inertial unit: {grade}, the finest grade that the data allow (log-likelihood to the best: {told})"
-    own, imu = list(GRADES).index(grade), imu_errors(grade)
+    own, (gyro_bias, _, accel_bias, _) = list(GRADES).index(grade), GRADES[grade]
     beyond = [
         f"{name} biases of {size:.1f} times what is usual"
         for name, size in (
-            ("gyroscope", np.max(np.abs(read.gyro[:, own])) / float(imu.gyro_bias)),
-            ("accelerometer", np.max(np.abs(read.accel[:, own])) / float(imu.accel_bias)),
+            ("gyroscope", np.max(np.abs(read.gyro[:, own])) / (gyro_bias * DEG_H)),
+            ("accelerometer", np.max(np.abs(read.accel[:, own])) / (accel_bias * UG)),
         )
         if size > _BEYOND
     ]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError, close_names
-from jaxalign.parameters import tunable, with_parameters
+from jaxalign.parameters import as_float64, tunable, with_parameters
 from jaxalign.simulate import Scenario
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
@@ -83,7 +83,7 @@ def imu_errors(grade: str) -> ImuErrors:
     if grade not in GRADES:
         near = close_names(grade, GRADES) or list(GRADES)
         raise UserError(f"no grade {grade!r} of inertial units: did you mean {', '.join(near)}?")
-    return ImuErrors(*(jnp.asarray(x) for x in GRADES[grade]))
+    return ImuErrors(*map(as_float64, GRADES[grade]))
 
 
 def imu_figures(text: str) -> ImuErrors:

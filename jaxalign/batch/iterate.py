@@ -213,7 +213,7 @@ def _looped(model: Model, problem: Problem, state: State, iterations: int) -> tu
     """As :func:`_rounds`, step by step."""
     number, final = 0, False
     while True:
-        final = number >= iterations or not np.any(state.moving)
+        final = number >= iterations or not np.asarray(state.moving).any()
         new, read = _step(model, problem, state, np.asarray(number >= iterations // 2), np.asarray(final))
         if final:
             return state, read

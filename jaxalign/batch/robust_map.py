@@ -17,20 +17,19 @@ from jaxalign.batch.fix import PARTS, parts_of
 from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.iterate import LANES, Found, on_host, traced
 from jaxalign.batch.solver import Model, Problem
-from jaxalign.compilation.programs import Program
-from jaxalign.epochs import Aid, Epochs, epochs_from_log, row_numbers
+from jaxalign.epochs import Aid, Epoch, Epochs, epochs_from_log, row_numbers
 from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
 from jaxalign.parameters import tunable
 from jaxalign.solution import FilterRecord, Solution, Status
-from jaxalign.vector import Quat
 
 __all__ = ["FEWEST_FIXES", "RobustMap"]
 
 FEWEST_FIXES = 3
 """That an attitude takes."""
-_BLIND = np.deg2rad(20.0)
+_DEG = np.deg2rad(1.0)
+_BLIND = 20.0 * _DEG
 _MOST_ITERATIONS = 1000
 
 
@@ -123,7 +122,7 @@ class RobustMap(eqx.Module):
     def model(self) -> Model:
         """What it knows beforehand, without what does not change a step."""
         known = {
-            "mounting": [self.scale_sd, *[jnp.deg2rad(self.mounting_sd_deg)] * 3],
+            "mounting": [self.scale_sd, *[_number(self.mounting_sd_deg) * _DEG] * 3],
             "latency": [self.latency_sd],
             "lever": [self.lever_sd] * 3,
             "slow": [self.slow_sd] * 3,
@@ -152,7 +151,7 @@ class RobustMap(eqx.Module):
         else:
             lanes = min(LANES, 1 << (len(numbers) - 1).bit_length())
             found = on_host(self.model, epochs, numbers, self.iterations, self.starts, lanes=lanes, done=done)
-        return _assembled(self, epochs, numbers, found)
+        return _assembled(self, epochs.rows, numbers, found)
 
     def solve_runs(self, epochs: Epochs, rows: Any = 1) -> Solution:
         """Align many runs side by side: leaves of ``epochs.rows`` that differ have the runs on the last axis. Pure.
@@ -168,6 +167,11 @@ class RobustMap(eqx.Module):
     def align(self, log: Log | Epochs, every: int = 1) -> Solution:
         """See :func:`jaxalign.align`."""
         return align(self, log, every)
+
+
+def _number(x: Any) -> Any:
+    """On the host without a program of its own for what is done with it."""
+    return x if isinstance(x, Tracer) else np.float64(x)
 
 
 def _stacked(numbers: list[Any]) -> Any:
@@ -226,26 +230,17 @@ def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution
         return x.reshape(of_runs.size, *x.shape[2:-2], of_rows.size)[:runs, ..., :count]
 
     rows = jax.tree.map(lambda x: x.T if x.ndim > 1 else jnp.broadcast_to(x, (runs, len(x))), epochs.rows)
-    return jax.vmap(lambda rows, found: _assembled_rows(method, rows, numbers, found))(
-        rows, jax.tree.map(by_run, found)
-    )
+    return jax.vmap(lambda rows, found: _assembled(method, rows, numbers, found))(rows, jax.tree.map(by_run, found))
 
 
-def _assembled(method: RobustMap, epochs: Epochs, numbers: np.ndarray, found: Found) -> Solution:
-    rows = (epochs.rows.dt, epochs.rows.valid)
-    return _assemble(rows, np.asarray(numbers), found, method.calibrate != "none")
-
-
-def _assembled_rows(method: RobustMap, rows: Any, numbers: np.ndarray, found: Found) -> Solution:
-    return _assemble_rows((rows.dt, rows.valid), numbers, found, method.calibrate != "none")
-
-
-def _assemble_rows(rows: Any, numbers: Any, found: Found, calibrated: bool) -> Solution:
-    """Rows on the first axis, and what to say of each."""
-    dt, valid = rows
-    read, alpha, beta = jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), found)
-    finite = jnp.all(jnp.isfinite(read.q_nb), axis=1) & jnp.all(jnp.isfinite(read.tilt), axis=(1, 2))
-    defined = finite & (jnp.cumsum(valid)[numbers] >= FEWEST_FIXES)
+def _assembled(method: RobustMap, rows: Epoch, numbers: np.ndarray, found: Found) -> Solution:
+    """Rows on the first axis, and what to say of each; on the host with NumPy, to compile nothing."""
+    given = rows.dt, rows.valid, found
+    xp = jnp if any(isinstance(x, Tracer) for x in jax.tree.leaves(given)) else np
+    dt, valid, (read, alpha, beta) = jax.tree.map(xp.asarray, given)
+    read, alpha, beta = jax.tree.map(lambda x: xp.moveaxis(x, -1, 0), (read, alpha, beta))
+    finite = xp.all(xp.isfinite(read.q_nb), axis=1) & xp.all(xp.isfinite(read.tilt), axis=(1, 2))
+    defined = finite & (xp.cumsum(valid)[numbers] >= FEWEST_FIXES)
     observable = defined & (read.tilt[:, 2, 2] < _BLIND**2)
     bits = (
         (~defined, Status.UNDEFINED),
@@ -253,34 +248,33 @@ def _assemble_rows(rows: Any, numbers: Any, found: Found, calibrated: bool) -> S
         (~valid[numbers], Status.AID_MISSING),
         (~finite, Status.NON_FINITE),
     )
-    status = sum((jnp.where(c, jnp.int32(int(b)), 0) for c, b in bits), jnp.zeros(len(numbers), jnp.int32))
+    status = xp.stack([xp.where(c, int(b), 0) for c, b in bits]).sum(axis=0).astype(xp.int32)
 
     def masked(x: Any) -> Any:
-        return jnp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
+        return xp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
 
-    record = FilterRecord(
-        masked(read.gyro),
-        masked(read.accel),
-        masked(read.covariance),
-        log_likelihood=masked(read.log_likelihood),
-        calibration=masked(read.unknowns) if calibrated else None,
-    )
-    identity = jnp.asarray([1.0, 0.0, 0.0, 0.0])
-    return Solution(
-        time=jnp.cumsum(dt)[numbers],
-        q_nb=jnp.where(defined[:, None], Quat.of(read.q_nb).positive().array, identity),
-        defined=defined,
-        observable=observable,
-        eigengap=jnp.zeros(len(numbers)),
-        residual=masked(read.residual),
-        weight=read.weight,
-        alpha=alpha,
-        beta=beta,
-        covariance=masked(read.tilt),
-        status=status,
-        aid_sd=read.aid_sd,
-        filter=record,
-    )
-
-
-_assemble = Program(_assemble_rows)
+    record = {
+        "gyro_bias": masked(read.gyro),
+        "accel_bias": masked(read.accel),
+        "covariance": masked(read.covariance),
+        "log_likelihood": masked(read.log_likelihood),
+        "calibration": masked(read.unknowns) if method.unknown else None,
+    }
+    q_nb = xp.where(read.q_nb[:, :1] < 0, -read.q_nb, read.q_nb)
+    rows_of = {
+        "time": xp.cumsum(dt)[numbers],
+        "q_nb": xp.where(defined[:, None], q_nb, xp.asarray([1.0, 0.0, 0.0, 0.0])),
+        "defined": defined,
+        "observable": observable,
+        "eigengap": xp.zeros(len(numbers)),
+        "residual": masked(read.residual),
+        "weight": read.weight,
+        "alpha": alpha,
+        "beta": beta,
+        "covariance": masked(read.tilt),
+        "status": status,
+        "aid_sd": read.aid_sd,
+    }
+    if xp is np:
+        rows_of, record = jax.device_put((rows_of, record))
+    return Solution(**rows_of, filter=FilterRecord(**record))

@@ -73,9 +73,12 @@ def angle(q, p):
 
 
 def rounding_of(found):
-    """What the last bits do to an attitude, rad: an eigenvector moves by them over the eigengap."""
+    """What the last bits do to an attitude, rad: they turn an eigenvector by themselves over the eigengap.
+
+    Of 60 turns of the body frame, 7e-16 over it at most.
+    """
     gap = np.asarray(found.eigengap)
-    return np.where((gap > 0) & np.asarray(found.defined), 4e-16 / np.maximum(gap, 1e-15), 0.0)
+    return np.where((gap > 0) & np.asarray(found.defined), 1e-15 / np.maximum(gap, 1e-15), 0.0)
 
 
 @rows
