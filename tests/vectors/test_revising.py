@@ -16,19 +16,19 @@ from jaxalign.methods import build
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth
 
 
+@eqx.filter_jit
+def solved(method, made, intervals, keys, every):
+    def one(key):
+        return method.solve(measure_epochs(intervals, made, key), every).q_nb
+
+    return jax.lax.map(one, keys, batch_size=64)
+
+
 def ratios(made, runs, every):
     """Errors over the bound, rows after the first: (runs, rows, 3)."""
     method, exact = build("revising_oba", made.aid), truth(made)
-    intervals = intervals_of(exact, made.aid_every)
-
-    @jax.jit
-    def solve(keys):
-        def one(key):
-            return method.solve(measure_epochs(intervals, made, key), every).q_nb
-
-        return jax.lax.map(one, keys, batch_size=64)
-
-    q = solve(jax.random.split(jax.random.key(5), runs))[:, 1:]
+    keys = jax.random.split(jax.random.key(5), runs)
+    q = solved(method, made, intervals_of(exact, made.aid_every), keys, every)[:, 1:]
     rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])[1:]
     return np.abs(phi_deg(q, exact.C_nb[rows])) / np.asarray(bound(made, exact).phi_deg)[rows]
 
