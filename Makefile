@@ -39,7 +39,8 @@ test-times: ARGS += --times
 test-times: test
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow or exact" --optimise none $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "exact or long" --optimise less $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow and not exact and not long" --optimise none $(ARGS)
 
 test-all: test test-slow
 

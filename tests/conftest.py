@@ -1,6 +1,7 @@
 import gc
 import itertools
 import os
+import signal
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -54,6 +55,14 @@ def pytest_collection_modifyitems(items):
         recipe = f"{values['name']}-{values['aid']}" if {"name", "aid"} <= values.keys() else None
         if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(recipe or item.path.stem))
+
+
+@pytest.fixture(scope="module")
+def heard():
+    """Ctrl-C reaches the processes also where these tests run in the background of a shell, which has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(autouse=True)

@@ -40,12 +40,14 @@ def on_the_bound(made, runs, every, most):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_on_the_bound_outlying():
     """A tenth of the fixes 300 times too noisy, the first one too: 96 runs, so within 20 %."""
     on_the_bound(outlying(scenario("dvl-sturn"), 0.1), 96, 150, 1.25)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "share", "most"),
     [("dvl-sturn", 0.0, 1.1), ("dvl-sturn", 0.1, 1.1), ("dvl-sturn", 0.3, 1.3), ("dvl-accturn", 0.0, 1.2)],
@@ -56,6 +58,7 @@ def test_on_the_bound(name, share, most):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_on_the_bound_with_gnss_and_a_bad_first_fix():
     made = scenario("gps-zigzag", outliers="jump", first="always")
     on_the_bound(made, 1000, 125, 1.1)

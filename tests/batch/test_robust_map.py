@@ -261,6 +261,7 @@ def test_noise_that_neighbours_share_is_counted():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_gradients_are_finite_and_right():
     method = RobustMap(tolerance=1e-9, iterations=60)
     epochs = epochs_from_log(simulate("dvl-sturn", seed=2, outliers="fixed", duration=100.0))

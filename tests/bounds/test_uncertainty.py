@@ -50,6 +50,7 @@ def errors_and_deviations(made, name, runs, every, draws):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_centred_oba_knows_its_errors():
     """Clean: coverage, and the deviation of the heading is the bound (32 draws: 13 % of each run)."""
     made = scenario("dvl-sturn")
@@ -62,6 +63,7 @@ def test_centred_oba_knows_its_errors():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["oba", "roba", "revising_oba", "centred_oba"])
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_coverage(name, share):

@@ -13,15 +13,10 @@ import pytest
 from jaxalign.io import write_npz
 from jaxalign.log import Log
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are sent otherwise there")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def heard():
-    """Ctrl-C reaches the processes also where these tests run in the background of a shell, which has it ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="signals are sent otherwise there"),
+    pytest.mark.usefixtures("heard"),
+]
 
 
 def started(*arguments, **environment):

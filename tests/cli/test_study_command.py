@@ -86,6 +86,7 @@ def test_processes_with_different_flags_refuse(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("heard")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_killed_and_resumed(how, tmp_path):
     """At any moment, here as soon as a chunk is there; the resumed study is the one that was never stopped."""

@@ -34,6 +34,7 @@ def ratios(made, runs, every):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.1])
 def test_near_the_bound(share):
     """300 s with a Doppler log, outliers 300 times too large, the first fix like the others: 1000 runs."""
@@ -44,6 +45,7 @@ def test_near_the_bound(share):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_early_outliers_and_gnss():
     """Every run has a bad first fix, and jumps later on."""
     made = scenario("gps-zigzag", outliers="jump", first="always")
