@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxalign.aid_noise import white_noise_sd
 from jaxalign.compilation.programs import Program
 from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, check_prefilter, epochs_from_log, over_runs
+from jaxalign.epochs import Epoch, Epochs, check_every, check_prefilter, epochs_from_log, over_runs
 from jaxalign.errors import UserError
 from jaxalign.estimate import AbstractEstimate, QMethod, Readout
 from jaxalign.log import Log
@@ -34,7 +34,7 @@ from jaxalign.weight import AbstractWeight, Unit
 
 _FEEDBACK = 10
 
-__all__ = ["AlignState", "Aligner", "align", "check_every", "epochs_for", "estimate_aid_sd"]
+__all__ = ["AlignState", "Aligner", "align", "epochs_for", "estimate_aid_sd"]
 
 
 class AlignState(eqx.Module):
@@ -320,12 +320,6 @@ def _measured(method: Any, log: Log, epochs: Epochs) -> Epochs:
     """The epochs of a log as measured: behind a prefilter the noise is not white, and cannot be estimated."""
     raw = without_prefilter(method)
     return epochs if raw is method else raw.epochs(log)
-
-
-def check_every(every: Any) -> None:
-    """Refuse rows that are no whole number of epochs apart."""
-    if isinstance(every, str) or every < 1 or every != int(every):
-        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
 
 
 def align(

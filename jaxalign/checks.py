@@ -92,6 +92,7 @@ def bad_run(x: np.ndarray) -> tuple[int, int, int] | None:
 
 
 _FARTHEST = np.pi / 2  # in one sample: two of them are integrated as one turn of at most half a circle
+_HARDEST = 1e5  # m/s^2, of a sample
 
 
 def increments(name: str, key: str, value: Any, dt: float) -> np.ndarray:
@@ -114,11 +115,17 @@ def increments(name: str, key: str, value: Any, dt: float) -> np.ndarray:
             f"{first} "
             f"(counted from 0; {first * dt:.6g} s): cut the log there or fill them"
         )
-    turned = np.linalg.norm(array, axis=1) if key == "dtheta" else np.zeros(1)
-    if turned.max(initial=0.0) > _FARTHEST:
-        row = int(np.argmax(turned))
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(array, axis=1)
+    row = int(np.argmax(size)) if len(size) else 0
+    if key == "dvel" and size.max(initial=0.0) > _HARDEST * dt:
         raise UserError(
-            f"{name}: dtheta turns by {np.rad2deg(turned[row]):.0f} deg within the one sample of row {row}: rotation "
+            f"{name}: dvel changes the velocity by {size[row]:.3g} m/s within the one sample of row {row} "
+            f"(counted from 0; {row * dt:.6g} s): no vehicle does; cut the log there or mend the sample"
+        )
+    if key == "dtheta" and size.max(initial=0.0) > _FARTHEST:
+        raise UserError(
+            f"{name}: dtheta turns by {np.rad2deg(size[row]):.0f} deg within the one sample of row {row}: rotation "
             "increments in rad are expected, not rates or degrees"
         )
     return array

@@ -27,6 +27,7 @@ __all__ = [
     "Aid",
     "Epoch",
     "Epochs",
+    "check_every",
     "check_prefilter",
     "epochs_from_arrays",
     "epochs_from_log",
@@ -107,6 +108,16 @@ def over_runs(f: Callable[[Epochs], Any], epochs: Epochs) -> Any:
     return jax.vmap(f, in_axes=(axes,))(epochs)
 
 
+def check_every(every: Any) -> None:
+    """Refuse rows that are no whole number of epochs apart."""
+    try:
+        whole = every == int(every) and every >= 1
+    except (TypeError, ValueError, OverflowError):
+        whole = False
+    if not whole or isinstance(every, str):
+        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
+
+
 def row_numbers(count: int, rows: Any) -> np.ndarray:
     """Numbers of the epochs to read out, of so many.
 
@@ -115,11 +126,14 @@ def row_numbers(count: int, rows: Any) -> np.ndarray:
         rows: epochs between two rows (epoch 0, each so many epochs, and the last), or the numbers themselves.
 
     Raises:
-        UserError: a number that is no epoch.
+        UserError: a number that is no epoch, or no whole number of epochs between two rows.
     """
     if np.ndim(rows) == 0:
+        check_every(rows)
         return np.unique([*range(0, count, int(rows)), count - 1])
     numbers = np.asarray(rows)
+    if numbers.ndim != 1:
+        raise UserError(f"rows has shape {numbers.shape}: (n,) is expected, numbers of epochs")
     if not (np.issubdtype(numbers.dtype, np.integer) and numbers.size and 0 <= numbers.min() <= numbers.max() < count):
         raise UserError(f"rows = {rows}: must be whole numbers from 0 to {count - 1}")
     return numbers

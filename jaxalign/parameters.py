@@ -24,7 +24,7 @@ def as_float64(value: Any) -> jax.Array:
     """A float64 array leaf (strongly typed: a weak type would compile once more); tracers pass."""
     if isinstance(value, jax.Array):
         return value.astype(jnp.float64)
-    return jax.device_put(np.asarray(value, np.float64))  # jnp.asarray compiles a program for each shape
+    return jax.device_put(np.array(value, np.float64))  # jnp.asarray compiles a program for each shape
 
 
 def tunable(default: float, *, unit: str, bounds: tuple[float, float]) -> Any:

@@ -22,6 +22,7 @@ from jaxalign.errors import UserError
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
 from jaxalign.parameters import tunable
+from jaxalign.precision import require_x64
 from jaxalign.solution import FilterRecord, Solution, Status
 
 __all__ = ["FEWEST_FIXES", "RobustMap"]
@@ -96,6 +97,7 @@ class RobustMap(eqx.Module):
 
     def __check_init__(self):
         check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
+        check_choice("aid", self.aid, ("body", "nav", "static"))
         check_interval(self.interval_samples, "interval_samples")
         for name in ("starts", "iterations"):
             check_count(name, getattr(self, name))
@@ -144,14 +146,18 @@ class RobustMap(eqx.Module):
             epochs: of one log.
             rows: epochs between two rows, see :func:`jaxalign.align`, or the numbers of the epochs to read out.
             done: told how many rows are finished, now and then; not inside traced code.
+
+        Raises:
+            UserError: float32, rows that are no epochs.
         """
+        require_x64(epochs)
         numbers = row_numbers(len(epochs), rows)
         if any(isinstance(x, Tracer) for x in jax.tree.leaves((self, epochs))):
-            found = _rows_of(self, epochs, numbers)
-        else:
-            lanes = min(LANES, 1 << (len(numbers) - 1).bit_length())
+            return _assembled(self, epochs.rows, numbers, _rows_of(self, epochs, numbers))
+        lanes = min(LANES, 1 << (len(numbers) - 1).bit_length())
+        with jax.ensure_compile_time_eval():  # inside traced code too, where both are constants
             found = on_host(self.model, epochs, numbers, self.iterations, self.starts, lanes=lanes, done=done)
-        return _assembled(self, epochs.rows, numbers, found)
+            return _assembled(self, epochs.rows, numbers, found)
 
     def solve_runs(self, epochs: Epochs, rows: Any = 1) -> Solution:
         """Align many runs side by side: leaves of ``epochs.rows`` that differ have the runs on the last axis. Pure.
@@ -160,7 +166,13 @@ class RobustMap(eqx.Module):
 
         Returns:
             A solution whose leaves have the runs on a first axis.
+
+        Raises:
+            UserError: float32, rows that are no epochs, epochs of one log.
         """
+        require_x64(epochs)
+        if epochs.rows.dvel.x.ndim != 2:
+            raise UserError("these are the epochs of one log: solve_runs takes runs on the last axis, solve one log")
         numbers = row_numbers(len(epochs), rows)
         return _runs_of(self, epochs, numbers)
 
@@ -276,5 +288,11 @@ def _assembled(method: RobustMap, rows: Epoch, numbers: np.ndarray, found: Found
         "aid_sd": read.aid_sd,
     }
     if xp is np:
-        rows_of, record = jax.device_put((rows_of, record))
+        rows_of, record = jax.device_put((rows_of, record), _device(rows))
     return Solution(**rows_of, filter=FilterRecord(**record))
+
+
+def _device(rows: Epoch) -> Any:
+    """Where the epochs must stay; None: anywhere."""
+    kept = [x for x in jax.tree.leaves(rows) if isinstance(x, jax.Array) and x.committed]
+    return kept[0].sharding if kept else None

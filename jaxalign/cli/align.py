@@ -81,10 +81,11 @@ def _run(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     import jaxalign
-    from jaxalign.aligner import align, check_every
+    from jaxalign.aligner import align
     from jaxalign.batch import imu_figures
     from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
+    from jaxalign.epochs import check_every
     from jaxalign.io.files import replacing
     from jaxalign.method_file import method_entries
     from jaxalign.solution import check_threshold

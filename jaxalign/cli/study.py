@@ -57,7 +57,7 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--prefilter", metavar="NAME", help="in front of methods for a standing vehicle: vondrak, fir or wavelet"
     )
-    command.add_argument("--every", type=int, default=10, metavar="N", help="epochs between read-outs (default: 10)")
+    command.add_argument("--every", type=int, metavar="N", help="epochs between read-outs (default: 10)")
     command.add_argument(
         "--fidelity",
         default="increments",

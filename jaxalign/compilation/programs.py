@@ -86,7 +86,7 @@ class Program(Generic[P, R]):
         if device is None:
             return self._usual(*args, **kwargs)
         fixed, around = jax.tree.flatten(rest)
-        kinds = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves)
+        kinds = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False), _committed(x)) for x in leaves)
         key = (given, kinds, around, tuple(fixed), *(getattr(jax.config, name) for name in _WATCHED))
         try:
             hash(key)
@@ -124,7 +124,8 @@ class Program(Generic[P, R]):
             except Exception as error:  # of any kind, also of XLA: it computes all the same
                 _LOG.debug("jaxalign: %s is not kept: %s", name, error)
             else:
-                store.put(entry, data)
+                if _digest() == _library():  # what runs is what can be read
+                    store.put(entry, data)
                 if self._memory is not None:  # a first process writes only
                     self._memory.put(entry, data)
             return _callable(made, numbered, others)
@@ -197,9 +198,14 @@ def _callable(executable: Any, numbered: Any, others: Any) -> Callable[[list[Any
     return lambda leaves: eqx.combine(tree.unflatten(executable(leaves)), others)
 
 
+def _committed(x: Any) -> bool:
+    """Whether it must stay on its device; so must what is computed of it."""
+    return isinstance(x, jax.Array) and getattr(x, "committed", False)
+
+
 def _device(leaves: list[Any]) -> Any:
     """The one device that the arrays want; None if there are several."""
-    committed = [x.devices() for x in leaves if isinstance(x, jax.Array) and getattr(x, "committed", False)]
+    committed = [x.devices() for x in leaves if _committed(x)]
     wanted = set().union(*committed)
     if not wanted:
         chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
@@ -214,9 +220,8 @@ def _settings() -> str:
     return repr(values)
 
 
-@cache
-def _library() -> str | None:
-    """A digest of the text of this library and of what makes its trees; None where there is no text to read."""
+def _digest() -> str | None:
+    """Of the text of this library and of what makes its trees; None where there is no text to read."""
     root = Path(__file__).resolve().parents[1]
     made, paths = hashlib.sha256(version("equinox").encode()), sorted(root.rglob("*.py"))
     try:
@@ -226,6 +231,10 @@ def _library() -> str | None:
     except OSError:
         return None
     return made.hexdigest() if paths else None
+
+
+_library = cache(_digest)
+_library()  # of what is being imported, not of what it is edited to
 
 
 def _covered(x: Any) -> bool:

@@ -36,7 +36,7 @@ class Study:
         methods: label -> method; or names of recipes.
         runs: how many.
         seed: of all the runs; run i is the same whatever the methods, chunks and devices.
-        every: epochs of the scenario between two read-outs.
+        every: epochs of the scenario between two read-outs; by default 10, or all of a scenario with fewer.
         fidelity: "increments" draws the noise per epoch interval (exact to first order, far cheaper);
             "samples" per IMU sample: for prefilters and disturbances of the base, and to compare.
         tolerance_deg: of `within` and of the convergence time.
@@ -62,7 +62,7 @@ class Study:
         methods: Sequence[str] | Mapping[str, Any],
         runs: int = 1000,
         seed: int = 0,
-        every: int = 10,
+        every: int | None = None,
         fidelity: Fidelity = "increments",
         tolerance_deg: float = 1.0,
         window: tuple[float, float] | None = None,
@@ -75,7 +75,7 @@ class Study:
             "methods": _methods(methods, made),
             "runs": whole("runs", runs, 2, 10**9),
             "seed": whole("seed", seed, 0, 2**63 - 1),
-            "every": whole("every", every, 1, made.epochs),
+            "every": min(10, made.epochs) if every is None else whole("every", every, 1, made.epochs),
             "fidelity": fidelity,
             "tolerance_deg": _positive("tolerance_deg", tolerance_deg),
             "window": (end - min(_LAST_S, end / 2), end) if window is None else window,

@@ -284,6 +284,29 @@ def test_gradients_are_finite_and_right():
             assert abs(numeric - slope[i]) <= 1e-3 * max(abs(slope[i]), 1e-3 * abs(value))
 
 
+def test_a_constant_inside_traced_code():
+    method, epochs = RobustMap(), epochs_from_log(simulate("dvl-sturn", seed=2, duration=60.0))
+    last = np.array([60])
+    found = method.solve(epochs, last)
+    np.testing.assert_array_equal(jax.jit(lambda x: x * method.solve(epochs, last).q_nb)(1.0), found.q_nb)
+    kept = method.solve(jax.device_put(epochs, jax.devices()[0]), last)
+    assert kept.q_nb.committed
+    assert not found.q_nb.committed
+
+
+def test_bad_input():
+    method, epochs = RobustMap(), epochs_from_log(simulate("dvl-sturn", seed=2, duration=60.0))
+    for rows in (0, -1, 2.5, None, float("nan"), np.array([[10]]), np.array([61])):
+        with pytest.raises(UserError, match=r"every|rows"):
+            method.solve(epochs, rows)
+    with pytest.raises(UserError, match="one log"):
+        method.solve_runs(epochs, 10)
+    with pytest.raises(UserError, match="must be one of body"):
+        RobustMap(aid="dvl")
+    with jax.enable_x64(False), pytest.raises(UserError, match="float32"):
+        method.solve(epochs, 10)
+
+
 def test_grades():
     assert parameters(RobustMap(imu=imu_errors("mems")))["imu.gyro_bias_deg_h"] == 200.0
     with pytest.raises(UserError, match="did you mean tactical"):

@@ -76,7 +76,8 @@ def test_whatever_it_depends_on_makes_another_one(store, arguments, monkeypatch)
     program(v, jnp.float32(0.3))
     with jax.numpy_dtype_promotion("strict"):  # settings
         program(v, angle)
-    monkeypatch.setattr(programs, "_library", lambda: "another text of the library")
+    for name in ("_library", "_digest"):
+        monkeypatch.setattr(programs, name, lambda: "another text of the library")
     Program(turned)(v, angle)
     assert len(traced) == len(store) == 7
     program(v, angle)
@@ -142,6 +143,20 @@ def test_what_cannot_be_kept_computes_all_the_same(store, arguments, monkeypatch
     program(v, angle)
     assert traced == ["x"]
     assert not store
+
+
+def test_a_text_that_has_changed_since_is_not_what_runs(store, arguments, monkeypatch):
+    monkeypatch.setattr(programs, "_digest", lambda: "edited")
+    Program(turned)(*arguments)
+    assert not store
+
+
+def test_what_stays_on_its_device_is_another_program(store, arguments):
+    v, angle = arguments
+    program, kept = Program(turned), jax.device_put(v, jax.devices()[0])
+    assert program(kept, angle)["along"].committed
+    assert not program(v, angle)["along"].committed
+    assert len(store) == 2
 
 
 def test_memory_is_bounded(store, monkeypatch):

@@ -50,6 +50,8 @@ BAD = {
         ["5 rows", "5 long", "row 300", "3 s"],
     ),
     "infinity": ({"dvel": put(GOOD["dvel"], (7, 2), np.inf)}, ["dvel", "1 rows", "row 7", "0.07 s"]),
+    "a broken sample": ({"dvel": put(GOOD["dvel"], (7, 2), 1e5)}, ["dvel", "1e+05 m/s", "row 7", "0.07 s"]),
+    "beyond floats": ({"dtheta": put(GOOD["dtheta"], (7, 2), 1e300)}, ["dtheta turns", "row 7"]),
     "NaN latitude": ({"lat": np.nan}, ["lat", "finite"]),
     "latitude array": ({"lat": np.zeros(4)}, ["lat", "(4,)", "one finite number"]),
     "latitude in degrees": ({"lat": 32.06}, ["latitude", "32.06", "degrees", "pi/180"]),

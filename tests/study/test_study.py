@@ -55,6 +55,10 @@ def errors(made, study):
     return np.array(out)
 
 
+def test_a_short_scenario_is_read_out_at_its_end():
+    assert Study(scenario("dvl-sturn", duration=8.0), ["oba"], runs=2).every == 8
+
+
 def test_statistics_are_those_of_the_single_runs(result, errors):
     for m, each in zip(result.methods.values(), errors, strict=True):
         np.testing.assert_allclose(m.time_s, [10, 20, 30, 40, 50, 60])

@@ -55,11 +55,11 @@ rows = _slow(EVERY_AID)(ROWS)
 moving = _slow(EVERY_AID)([row for row in ROWS if row[1] != "static"])
 cheap = _slow(EVERY_AID, [name for name in RECIPES if name != "robust_map"])(ROWS)  # it solves every row by itself
 # These compile programs of their own, in which the aid is nothing special.
-FIRST = [(name, recipe.aids[0]) for name, recipe in RECIPES.items()]
+FIRST = [(name, aid) for name, aid in ROWS if aid == RECIPES[name].aids[0] or name in EVERY_AID]
 first_aids = _slow((), KINDS)(FIRST)
 first_aids_exact = _slow((), KINDS, SENSITIVE)(FIRST)
 first_slots = _slow((), KINDS, SENSITIVE)([row for row in FIRST if isinstance(method_of(*row), Aligner)])
-kinds = _slow((), ())([row for row in FIRST if row[0] in KINDS])
+kinds = _slow((), ())([(name, RECIPES[name].aids[0]) for name in KINDS])
 
 
 def truth_dcm(aid):
