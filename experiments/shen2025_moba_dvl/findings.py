@@ -70,8 +70,8 @@ def findings(found: dict[str, dict[str, dict[str, Errors]]], single: dict[str, E
   without outliers (transport rate fed back). Part of that is the window, which spreads the noise of the first velocity:
   `oba` with it has {rms(fed["clean"][window])} deg without outliers, but {rms(fed["Sim1"][window])} deg in Sim1.
 - The distance sees the length of a vector, which is nearly vertical. With each outlier on one axis only, `moba` has
-  {rms(alone["moba"])} deg, {compared(alone["moba"], alone["oba"])} `oba` with {rms(alone["oba"])} deg (within twice the
-  standard error); `roba, norm`, which sees the same, {rms(alone["roba, norm"])} deg, and `roba`, which sees all
-  directions, {rms(alone["roba"])} deg."""
+  {rms(alone["moba"])} deg, {compared(alone["moba"], alone["oba"])} `oba` with {rms(alone["oba"])} deg (equal: within
+  twice the standard error); `roba, norm`, which sees the same, {rms(alone["roba, norm"])} deg, and `roba`, which sees
+  all directions, {rms(alone["roba"])} deg."""
     ranking = [_ranking(s, published["clean"]["oba"], published[s], rows) for s, rows in paper.items()]
     return "\n".join([_agreement(published, paper, few), *ranking, rest])
