@@ -92,8 +92,11 @@ class Intervals(eqx.Module):
 
 
 def _before(tree: Any) -> Any:
-    """The values one epoch earlier; at the first epoch its own."""
-    return jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), tree)
+    """The values one epoch earlier; at the first epoch its own.
+
+    Computed once: in reverse mode XLA would compute all that their derivatives come from again for each use of them.
+    """
+    return jax.lax.optimization_barrier(jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), tree))
 
 
 def by_tilt(tilt: Vec3) -> Quat:
