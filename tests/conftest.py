@@ -30,7 +30,8 @@ install_import_hook(
 # Tests compile more than they run. Less: half of the time to compile, code as fast; none: a third, code half as fast.
 # A program compiled in one piece takes a fifth less in all.
 LESS = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-OPTIMISE = {"all": "", "less": LESS, "none": f"{LESS} --xla_backend_optimization_level=0"}
+NONE = f"{LESS} --xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+OPTIMISE = {"all": "", "less": LESS, "none": NONE}
 
 
 def pytest_addoption(parser):

@@ -12,9 +12,14 @@ from jaxalign.methods import build
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
 
 
+@pytest.fixture(scope="module")
+def log():
+    return simulate("dvl-sturn", 1)
+
+
 @pytest.mark.parametrize("window", [0.0, pytest.param(30.0, marks=pytest.mark.slow)])
-def test_crosses_near_65_s_on_the_s_turn(window):
-    found = align(build("oba", "body", {"observe.window": window}), simulate("dvl-sturn", 1))
+def test_crosses_near_65_s_on_the_s_turn(log, window):
+    found = align(build("oba", "body", {"observe.window": window}), log)
     time, seen = np.asarray(found.time), np.asarray(found.observable)
     assert 60 <= time[seen][0] <= 70
     assert seen[time >= 70].all()
@@ -34,9 +39,8 @@ def test_heading_error_at_the_crossing_on_the_s_turn():
     assert np.max(np.abs(errors)) < 60.0
 
 
-def test_is_the_eigenvalue_criterion():
+def test_is_the_eigenvalue_criterion(log):
     """4 (s2 + s3) / (8 k sd^2) > 1 with numpy's eigenvalues of the sum over alpha (the noise-free side with a DVL)."""
-    log = simulate("dvl-sturn", 1)
     found = align(build("oba"), log)
     alpha = np.asarray(found.alpha)
     for k in (20, 50, 64, 66, 80, 200):

@@ -67,6 +67,7 @@ def test_figures_that_are_given_are_taken():
     assert float(choice.method.outliers) == 0.1
 
 
+@pytest.mark.slow
 def test_too_few_fixes_to_tell():
     log = simulate(scenario("dvl-sturn"), seed=1)
     known = np.isin(np.arange(log.epochs + 1), [0, 200])

@@ -27,8 +27,8 @@ measured = eqx.filter_jit(measure_epochs)
     [
         ("dvl-sturn", "body", 2e-4),
         pytest.param("dvl-sway", "body", 2e-4, marks=pytest.mark.slow),
-        ("gps-zigzag", "nav", 5e-5),
-        ("sway", "static", 1e-5),
+        pytest.param("gps-zigzag", "nav", 5e-5, marks=pytest.mark.slow),
+        pytest.param("sway", "static", 1e-5, marks=pytest.mark.slow),
     ],
 )
 def test_noise_free_closure(name, aid, most):
@@ -122,7 +122,7 @@ LATE, LEVER = 0.3, (0.5, -1.5, 1.0)
 @pytest.mark.parametrize(
     ("name", "unknown"),
     [
-        ("gps-zigzag", "latency+lever"),
+        pytest.param("gps-zigzag", "latency+lever", marks=pytest.mark.slow),
         pytest.param("dvl-accturn", "latency", marks=pytest.mark.slow),
         pytest.param("dvl-sway", "lever", marks=pytest.mark.slow),
     ],
@@ -154,6 +154,7 @@ def test_latency_and_lever_arm_are_found(name, unknown):
     assert found.filter.log_likelihood[-1] > plain.filter.log_likelihood[-1] + 5
 
 
+@pytest.mark.slow
 def test_a_heading_that_nothing_tells_stays_open():
     """A low-cost unit at rest with GNSS: the path wanders off with its noise, and that is no acceleration."""
     made = dataclasses.replace(
@@ -284,6 +285,7 @@ def test_gradients_are_finite_and_right():
             assert abs(numeric - slope[i]) <= 1e-3 * max(abs(slope[i]), 1e-3 * abs(value))
 
 
+@pytest.mark.slow
 def test_a_constant_inside_traced_code():
     method, epochs = RobustMap(), epochs_from_log(simulate("dvl-sturn", seed=2, duration=60.0))
     last = np.array([60])

@@ -153,6 +153,7 @@ def test_all_epochs_are_kept_where_that_is_wished(problem):
     assert kept.covariance.shape == (EPOCHS, STATES, STATES, 2)
 
 
+@pytest.mark.slow
 def test_the_transpose(problem):
     linear = problem(ALL)
     row, fade = jax.tree.map(lambda x: x[5], (linear.intervals, linear.process.fade))
@@ -264,7 +265,8 @@ def test_median():
     assert found[3] == 0
 
 
-@pytest.mark.parametrize("unknown", [pytest.param((), marks=pytest.mark.slow), ALL])
+@pytest.mark.slow
+@pytest.mark.parametrize("unknown", [(), ALL])
 def test_derivatives_of_the_solution_are_those_through_the_filter(problem, unknown):
     """Every number of the system moved at once: the response against differentiating filter and smoother."""
     linear = problem(unknown)

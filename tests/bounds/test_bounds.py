@@ -54,6 +54,7 @@ def test_closed_form_for_white_noise_of_the_aid():
         np.testing.assert_allclose(heading(found, t)[0], np.rad2deg(0.1 * np.sqrt(180 / t) / a), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_gyro_bias_bounds_a_vehicle_at_rest():
     """The east gyro's bias over the horizontal Earth rate, whatever the time."""
     made = scenario("sway", duration=300.0)

@@ -81,9 +81,14 @@ def log():
     return simulate("dvl-sturn", seed=3, duration=60.0)
 
 
-def test_assess_is_align_with_a_covariance(log):
+@pytest.fixture(scope="module")
+def found(log):
+    return assess(build("oba", "body"), log, imu_errors("navigation"), every=10)
+
+
+def test_assess_is_align_with_a_covariance(log, found):
     method, imu = build("oba", "body"), imu_errors("navigation")
-    plain, found = align(method, log, every=10), assess(method, log, imu, every=10)
+    plain = align(method, log, every=10)
     np.testing.assert_array_equal(plain.q_nb, found.q_nb)
     assert plain.sd is None
     assert plain.euler_sd_deg is None
@@ -99,8 +104,7 @@ def test_assess_is_align_with_a_covariance(log):
     np.testing.assert_allclose(np.sum(euler[:2] ** 2), np.sum(np.rad2deg(found.sd[-1, :2]) ** 2), rtol=1e-2)
 
 
-def test_aligned_from_the_last_time_below(log):
-    found = assess(build("oba", "body"), log, imu_errors("navigation"), every=10)
+def test_aligned_from_the_last_time_below(log, found):
     heading = np.array([np.nan, 5.0, 0.5, 2.0, 0.9, 0.8, 0.7])
     variance = np.nan_to_num(np.deg2rad(heading), nan=0.0) ** 2
     covariance = np.zeros((7, 3, 3))

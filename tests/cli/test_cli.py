@@ -190,6 +190,7 @@ def test_swapped_axes_warn(files, capsys):
     assert "warning: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_csv_of_a_standing_vehicle_is_static(files, capsys):
     """No aid columns: a static log. (This vehicle moves; the command only sees sensors.)"""
     assert main(["align", str(files / "good.csv"), "--end", "20", "--every", "20", "--imu", "navigation"]) == 0
@@ -234,6 +235,7 @@ def test_align_writes_what_it_says(files, tmp_path, capsys):
     assert ja.parameters(again) == recipe["parameters"]
 
 
+@pytest.mark.slow
 def test_aid_noise_is_estimated_where_it_is_not_stated(files, tmp_path, capsys):
     with np.load(files / "good.npz") as z:
         np.savez(tmp_path / "log.npz", **{k: z[k] for k in z.files if k != "aid_sd"})

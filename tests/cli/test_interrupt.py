@@ -97,6 +97,7 @@ def test_in_a_long_compiled_step():
     assert interrupted(guarded(text)) == ("", "jaxalign: interrupted\n")
 
 
+@pytest.mark.slow
 def test_in_a_long_compiled_step_of_a_command_that_may_save_something():
     text = f"""
         import jax

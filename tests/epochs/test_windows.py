@@ -27,6 +27,7 @@ def test_a_window_never_stops_for_want_of_a_far_end(log, window):
     assert abs(attitude_error_deg(found, log)[-1, 2]) < 2.0
 
 
+@pytest.mark.slow
 def test_a_window_over_lost_fixes_reaches_back_to_the_last_one(log):
     import dataclasses
 
@@ -54,6 +55,7 @@ def test_noise_is_estimated_whatever_the_interval(log):
         assert float(found.aid_sd[-1]) == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_noise_used_is_what_was_asked_for(log):
     """What the caller says; else what the log says of the aid observed; else an estimate."""
     assert float(align(build("oba"), log, 100).aid_sd[-1]) == 0.1

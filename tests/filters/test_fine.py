@@ -309,6 +309,7 @@ def short(duration=SECONDS):
     return simulate("disturbed", seed=2, condition=2, amplitude_mg=10.0, duration=duration)
 
 
+@pytest.mark.slow
 def test_online_equals_offline():
     log = short()
     method = build("fine")

@@ -59,7 +59,9 @@ def test_fir_is_a_low_pass_of_the_stated_shape():
     assert (np.abs(gain[3:]) < 2e-3).all()
 
 
-@pytest.mark.parametrize(("dt", "factors"), [(0.005, (5, 5)), (0.01, (5, 2)), (0.02, (5,)), (0.125, ())])
+@pytest.mark.parametrize(
+    ("dt", "factors"), [pytest.param(0.005, (5, 5), marks=pytest.mark.slow), (0.01, (5, 2)), (0.02, (5,)), (0.125, ())]
+)
 def test_fir_decimates_by_the_rate(dt, factors):
     assert Fir().factors(dt) == factors
     for n in (1, 7, 300, 4001) if dt == DT else (7, 4001):  # gravity passes exactly, whatever the length
@@ -229,7 +231,8 @@ def test_averages_know_nothing_of_vondrak():
     np.testing.assert_allclose(found[0], found[1], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["fir", *(pytest.param(n, marks=pytest.mark.slow) for n in ("vondrak", "wavelet"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["fir", "vondrak", "wavelet"])
 def test_by_name_in_front_of_a_method(name):
     assert set(PREFILTERS) == {"vondrak", "fir", "wavelet"}
     pytest.importorskip("pywt")

@@ -110,6 +110,7 @@ def test_another_solver():
     np.testing.assert_allclose(run(t, y, np.ones(n), theta_from_cutoff(0.5)), x, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_derivatives():
     t, y, p = uneven()
     w = np.random.default_rng(3).normal(size=len(t))
@@ -227,6 +228,7 @@ def test_ends_are_hardly_filtered():
     assert size[30000] == pytest.approx(0.0154, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_record_of_the_user():
     """NaN: weight zero, for all axes; columns by themselves; theta instead of a cut-off."""
     t, y, p = uneven()

@@ -42,6 +42,7 @@ def increments(epochs, intervals):
     return jnp.concatenate([turned.log().array, epochs.rows.dvel.array[..., 1:, :] - intervals.dvel.array], axis=-1)
 
 
+@pytest.mark.slow
 def test_perfect_sensors():
     made, exact, intervals = problem(bias="fixed")
     clean = noiseless(made)

@@ -120,7 +120,9 @@ def truth_of(name):
     return jax.tree.map(np.asarray, truth(made))
 
 
-@pytest.mark.parametrize("name", CLOSURE)
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=() if x in ("s_turn", "zigzag_sway") else pytest.mark.slow) for x in CLOSURE]
+)
 def test_increments_close(name):
     """Attitude to 1e-6 deg and velocity to 1e-6 m/s after 300 s of strapdown navigation."""
     t, rate = truth_of(name), CLOSURE[name][1]

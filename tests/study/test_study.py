@@ -104,6 +104,7 @@ def test_accuracy_and_ratio(result):
     np.testing.assert_allclose(ratio.error, again.std(axis=0), rtol=0.25)
 
 
+@pytest.mark.slow
 def test_one_run_can_be_had_again_as_a_log(made):
     """Run 3 of a study at sample fidelity is `measure` with its key."""
     study = Study(made, ["oba"], runs=4, seed=9, fidelity="samples")

@@ -32,7 +32,7 @@ def of(made, method="roba", paths="weight.gamma", **more):
 
 @pytest.fixture(scope="module")
 def made():
-    return scenario("dvl-sturn", outliers="fixed")
+    return scenario("dvl-sturn", outliers="fixed", duration=120.0)
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +66,14 @@ def test_modes_agree_with_differences(tune):
         eqx.filter_jit(loss_and_slope)(objective, free, batch, mode) for mode in ("forward", "reverse")
     )
     np.testing.assert_allclose(one, two, rtol=1e-9)  # two programs: the last bits grow a million times
-    np.testing.assert_allclose(forward["weight.gamma"], reverse["weight.gamma"], rtol=1e-8)
+    np.testing.assert_allclose(forward["weight.gamma"], reverse["weight.gamma"], rtol=1e-7)
     value = eqx.filter_jit(lambda x: objective({"weight.gamma": x}, batch))
     for h in (1e-4, 3e-5):
         numeric = (value(0.3 + h) - value(0.3 - h)) / (2 * h)
         np.testing.assert_allclose(forward["weight.gamma"], numeric, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_search_ends_where_a_grid_does(tune, tuned):
     objective, batch, _ = engine.prepared(tune)
     judge = engine._Judge(tune, objective, batch)
@@ -95,6 +96,7 @@ def test_the_same_again(made):
     assert again.values == one.values
 
 
+@pytest.mark.slow
 def test_batches_take_all_runs_in_turn(made):
     seen = []
     tune = of(made, batch=12, steps=5, patience=0)
@@ -153,6 +155,7 @@ def test_losses_have_finite_derivatives_at_zero(loss, errors):
     assert np.isfinite(slope).all()
 
 
+@pytest.mark.slow
 def test_runs_without_an_attitude_count_as_any_angle():
     made = scenario("dvl-sturn", gaps=((0.0, 25.0),))
     tune = of(made, loss=Rmse(angle="pitch"), window=(0.0, 20.0))

@@ -82,6 +82,7 @@ def test_without_outliers_it_is_centred_oba_but_for_the_weights():
     np.testing.assert_allclose(*both, atol=0.15 * np.sqrt(5))
 
 
+@pytest.mark.slow
 def test_memory():
     with pytest.raises(UserError, match="at least 4"):
         build("revising_oba", "body", {"estimate.memory": 3})

@@ -229,6 +229,7 @@ def test_what_makes_no_sense_is_refused(make, word):
         make()
 
 
+@pytest.mark.slow
 def test_dropped_constant_is_that_of_the_first_velocity():
     """However late it comes."""
     log = simulate("dvl-sturn", 1, noise=False)
