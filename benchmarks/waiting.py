@@ -44,6 +44,8 @@ def measured(code: Path, arguments: Sequence[str], store: Path | str, out: Path)
         SystemExit: it failed.
     """
     environment = {**os.environ, "PYTHONPATH": str(code), "JAXALIGN_CACHE": str(store)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has its bytecode
+    environment["PYTHONPYCACHEPREFIX"] = str(out.parent / "bytecode")
     command = [sys.executable, "-m", "jaxalign", *arguments]
     begun = time.perf_counter()
     with open(out, "wb") as stream:
@@ -120,7 +122,8 @@ def main() -> None:
             *surroundings(folder / "probe"),
             "",
             f"The middle one of {options.repeats} runs ({' and '.join(DEAR)}: one run). LOG: 300 s at 200 Hz, 301 "
-            "epochs; HOURS: two hours of it; the study is that of `make run`. Cold: nothing compiled is stored. Ratio: "
+            "epochs; HOURS: two hours of it; the study is that of `make run`. Cold: no program is stored (but Python's "
+            "bytecode, as of an installed package). Ratio: "
             "to the CPU time of `align LOG` by the other checkout, in the same minutes.",
             "",
             "| command | | CPU s | ratio | wall s | peak MB |",

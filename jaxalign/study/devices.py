@@ -12,7 +12,6 @@ import time
 from contextlib import suppress
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
@@ -94,12 +93,11 @@ def is_first() -> bool:
 
 def placed(tree: Any, device: Any) -> Any:
     """The arrays of a tree on a device; those that are there already as they are, for each copy takes its time."""
-
-    def moves(x: Any) -> bool:
-        return isinstance(x, _ARRAYS) and not (isinstance(x, jax.Array) and x.devices() == {device})
-
-    arrays, rest = eqx.partition(tree, moves)
-    return eqx.combine(jax.device_put(arrays, device), rest)
+    there = {device}
+    leaves, structure = jax.tree.flatten(tree)
+    moves = [isinstance(x, _ARRAYS) and not (isinstance(x, jax.Array) and x.devices() == there) for x in leaves]
+    moved = iter(jax.device_put([x for x, yes in zip(leaves, moves, strict=True) if yes], device))
+    return structure.unflatten(next(moved) if yes else x for x, yes in zip(leaves, moves, strict=True))
 
 
 def agreed(value: np.ndarray) -> np.ndarray:

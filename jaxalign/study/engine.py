@@ -118,17 +118,14 @@ class _Worker:
 
     def __init__(self, study: Study, jobs: list[_Job], device: Any, first: int = 0):
         self.study, self.device, self.first = study, device, first
-        worlds = {job.feed: devices.placed(job.world, device) for job in jobs}
-        self.jobs = [
-            job._replace(world=worlds[job.feed], **devices.placed({k: getattr(job, k) for k in _OWN}, device))
-            for job in jobs
-        ]
-        self.seed = devices.placed(jax.random.key(study.seed), device)
+        worlds = {job.feed: job.world for job in jobs}
+        own = [{k: getattr(job, k) for k in _OWN} for job in jobs]
+        worlds, own, self.seed = devices.placed((worlds, own, jax.random.key(study.seed)), device)
+        self.jobs = [job._replace(world=worlds[job.feed], **some) for job, some in zip(jobs, own, strict=True)]
 
     def __call__(self, block: int) -> dict[str, Tally]:
         numbers = block * self.study.block + np.arange(self.study.block)
-        counted = devices.placed(numbers < self.study.runs, self.device)
-        placed = devices.placed(numbers, self.device)
+        counted, placed = devices.placed((numbers < self.study.runs, numbers), self.device)
         draw, reduce = _programs()
         drawn: dict[str, Epochs] = {}
         out = {}
