@@ -22,7 +22,7 @@ __all__ = ["main"]
 HERE = Path(__file__).resolve().parents[1]
 SIMULATE = ("simulate", "dvl-sturn", "--set", "outliers=fixed")
 STUDY = (
-    *("study", "dvl-sturn", "--set", "outliers=fixed", "--runs", "1000"),
+    *("study", "dvl-sturn", "--set", "outliers=fixed", "--runs", "1000", "--every", "20"),
     *("--methods", "oba,roba,moba,rkf_oba,centred_oba,revising_oba,robust_map"),
 )
 DEAR = ("align HOURS", "study DVL-STURN")
