@@ -139,27 +139,18 @@ def _share(count: np.ndarray, runs: int) -> Estimate:
 def _percentiles(bins: np.ndarray, known: np.ndarray) -> Estimate:
     """Percentiles of the absolute errors, interpolated within their bins, and their errors by the order statistics."""
     edges, size = bin_edges(), bins.shape[-1]
-    cumulated = np.cumsum(bins, axis=-1)
     count = known[:, None].astype(float)
+    middle = np.array(PERCENTILES)[:, None, None] / 100.0
+    half = np.sqrt(middle * (1 - middle) / np.maximum(count, 1))
+    rank = np.stack([middle + 0 * half, np.minimum(middle + half, 1.0), np.maximum(middle - half, 0.0)]) * count
     # All rows in one ascending line, to be searched at once.
+    cumulated = np.cumsum(bins, axis=-1)
     apart = float(cumulated[..., -1].max(initial=0) + 1)
-    begin = np.arange(bins[..., 0].size).reshape(bins.shape[:-1])
-    line = (cumulated + apart * begin[..., None]).ravel()
-
-    def at(q: float | np.ndarray) -> np.ndarray:
-        rank = q * count
-        place = np.searchsorted(line, rank + apart * begin) - size * begin
-        place = np.clip(place, 0, size - 1)
-        inside = np.take_along_axis(bins, place[..., None], -1)[..., 0]
-        below = np.take_along_axis(cumulated, place[..., None], -1)[..., 0] - inside
-        part = np.clip((rank - below) / np.maximum(inside, 1), 0.0, 1.0)
-        return np.where(count > 0, edges[place] + part * (edges[place + 1] - edges[place]), np.nan)
-
-    values, errors = [], []
-    for percentile in PERCENTILES:
-        q = percentile / 100.0
-        half = np.sqrt(q * (1 - q) / np.maximum(count, 1))
-        values.append(at(q))
-        spread = (at(np.minimum(q + half, 1.0)) - at(np.maximum(q - half, 0.0))) / 2
-        errors.append(np.where(q + half <= 1.0, spread, np.nan))  # too few runs to tell
-    return Estimate(np.stack(values), np.stack(errors))
+    row = np.arange(bins[..., 0].size).reshape(bins.shape[:-1])
+    first = np.searchsorted((cumulated + apart * row[..., None]).ravel(), rank + apart * row)
+    place = np.clip(first - size * row, 0, size - 1)
+    inside = bins.ravel()[place + size * row]
+    below = cumulated.ravel()[place + size * row] - inside
+    part = np.clip((rank - below) / np.maximum(inside, 1), 0.0, 1.0)
+    at, high, low = np.where(count > 0, edges[place] + part * (edges[place + 1] - edges[place]), np.nan)
+    return Estimate(at, np.where(middle + half <= 1.0, (high - low) / 2, np.nan))  # NaN: too few runs to tell
