@@ -92,10 +92,14 @@ def is_first() -> bool:
 
 
 def placed(tree: Any, device: Any) -> Any:
-    """The arrays of a tree on a device; those that are there already as they are, for each copy takes its time."""
+    """The arrays of a tree on a device, to stay there; those that do already as they are, for each copy takes its time.
+
+    One that may yet go elsewhere is compiled for as another kind of argument: devices would not share a program.
+    """
     there = {device}
     leaves, structure = jax.tree.flatten(tree)
-    moves = [isinstance(x, _ARRAYS) and not (isinstance(x, jax.Array) and x.devices() == there) for x in leaves]
+    stays = [isinstance(x, jax.Array) and x.committed and x.devices() == there for x in leaves]
+    moves = [isinstance(x, _ARRAYS) and not stay for x, stay in zip(leaves, stays, strict=True)]
     moved = iter(jax.device_put([x for x, yes in zip(leaves, moves, strict=True) if yes], device))
     return structure.unflatten(next(moved) if yes else x for x, yes in zip(leaves, moves, strict=True))
 
