@@ -29,8 +29,9 @@ __all__ = ["LANES", "Found", "on_host", "padded", "traced"]
 
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
-_EXACT = 1e-7  # of a derivative: what a further round would change
-_OFTEN = 40  # rounds at most; each leaves less than half of the error, mostly less than a tenth
+_EXACT = 1e-9  # of a derivative: what further rounds would change
+_FEWEST, _OFTEN = 3, 100  # rounds; each leaves less than half of the error, mostly less than a tenth
+_SLOWEST = 0.99  # share of a change that the next round leaves
 
 
 class Found(NamedTuple):
@@ -138,15 +139,17 @@ def _converged_jvp(primals: Any, tangents: Any) -> Any:
     _, onward = jax.linearize(stepped, told, numbers)
     none = jax.tree.map(jnp.zeros_like, told)
     by_figures, _ = onward(towards, jax.tree.map(jnp.zeros_like, numbers))
-    # Reverse mode wants each part to depend on a tangent, also where it is zero whatever the figures.
-    nothing = 0.0 * sum(jnp.sum(x) for x in jax.tree.leaves(towards))
+    # Reverse mode wants each part to depend on a tangent, also where it is zero whatever the figures. A product with
+    # zero would bring the NaN of one lane to the others.
+    nothing = jnp.where(False, sum(jnp.sum(x) for x in jax.tree.leaves(towards)), 0.0)
     by_figures = jax.tree.map(lambda x: x + nothing, by_figures)
     sizes = _sizes(state, read)
+    units = jax.tree.map(lambda size: jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0), sizes)
     moved = jax.lax.custom_linear_solve(
         lambda x: jax.tree.map(jnp.subtract, x, onward(none, x)[0]),
         by_figures,
+        lambda left, b: _repeated(left, b, units),
         lambda left, b: _repeated(left, b, sizes),
-        lambda left, b: _repeated(left, b, jax.tree.map(jnp.reciprocal, sizes)),
     )
     return read, onward(towards, moved)[1]
 
@@ -167,21 +170,30 @@ def _sizes(state: State, read: Readout) -> Any:
     return eqx.filter(out, eqx.is_inexact_array)
 
 
-def _repeated(left: Callable[[Any], Any], b: Any, sizes: Any) -> Any:
-    """The solution x of ``left(x) = b``, where ``x - left(x)`` is smaller than x: the sum of what is left each time."""
+def _repeated(left: Callable[[Any], Any], b: Any, units: Any) -> Any:
+    """The solution x of ``left(x) = b``, where ``x - left(x)`` is smaller than x: the sum of what is left each time.
+
+    Args:
+        left: linear, lane by lane.
+        b: leaves (..., L).
+        units: times which a change is measured; zero where nothing can change.
+    """
 
     def length(x: Any) -> Any:
-        parts = jax.tree.map(lambda x, size: jnp.sum((x / size) ** 2, axis=tuple(range(x.ndim - 1))), x, sizes)
+        parts = jax.tree.map(lambda x, unit: jnp.sum((x * unit) ** 2, axis=tuple(range(x.ndim - 1))), x, units)
         return jnp.sqrt(sum(jax.tree.leaves(parts)))
 
     def again(at: Any) -> Any:
-        x, change, count, _ = at
+        x, change, before, count, _ = at
         change = jax.tree.map(jnp.subtract, change, left(change))
         x = jax.tree.map(jnp.add, x, change)
-        return x, change, count + 1, jnp.any(length(change) > _EXACT * length(x))
+        now = length(change)
+        share = jnp.clip(now / jnp.where(before > 0, before, 1.0), 0.0, _SLOWEST)
+        more = now * share / (1.0 - share) > _EXACT * length(x)  # what all further rounds would add
+        return x, change, now, count + 1, jnp.any(more) | (count + 1 < _FEWEST)
 
-    start = b, b, jnp.asarray(0), jnp.asarray(True)
-    return jax.lax.while_loop(lambda at: at[3] & (at[2] < _OFTEN), again, start)[0]
+    start = b, b, length(b), jnp.asarray(0), jnp.asarray(True)
+    return jax.lax.while_loop(lambda at: at[4] & (at[3] < _OFTEN), again, start)[0]
 
 
 def traced(model: Model, problem: Problem, iterations: int, starts: int) -> Found:

@@ -86,7 +86,8 @@ _known: list[tuple[Scenario, Truth]] = []
 def _truth_of(made: Scenario) -> Truth:
     """The truth of a scenario; that of the last one is kept: its quadrature takes as long as a thousand runs."""
     if not (_known and _known[0][0] is made):
-        _known[:] = [(made, devices.placed(truth(made), jax.local_devices()[0]))]
+        exact = truth(made)
+        _known[:] = [(made, devices.placed(exact, next(iter(exact.dtheta.devices()))))]
     return _known[0][1]
 
 

@@ -143,11 +143,11 @@ def _percentiles(bins: np.ndarray, known: np.ndarray) -> Estimate:
     middle = np.array(PERCENTILES)[:, None, None] / 100.0
     half = np.sqrt(middle * (1 - middle) / np.maximum(count, 1))
     rank = np.stack([middle + 0 * half, np.minimum(middle + half, 1.0), np.maximum(middle - half, 0.0)]) * count
-    # All rows in one ascending line, to be searched at once.
-    cumulated = np.cumsum(bins, axis=-1)
-    apart = float(cumulated[..., -1].max(initial=0) + 1)
+    # All rows in one ascending line, to be searched at once; in whole numbers, which no offset rounds.
+    cumulated = np.cumsum(bins, axis=-1, dtype=np.int64)
+    apart = cumulated[..., -1].max(initial=0) + 1
     row = np.arange(bins[..., 0].size).reshape(bins.shape[:-1])
-    first = np.searchsorted((cumulated + apart * row[..., None]).ravel(), rank + apart * row)
+    first = np.searchsorted((cumulated + apart * row[..., None]).ravel(), np.ceil(rank).astype(np.int64) + apart * row)
     place = np.clip(first - size * row, 0, size - 1)
     inside = bins.ravel()[place + size * row]
     below = cumulated.ravel()[place + size * row] - inside

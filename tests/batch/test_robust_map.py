@@ -286,6 +286,48 @@ def test_gradients_are_finite_and_right():
 
 
 @pytest.mark.slow
+def test_derivatives_with_biases_that_are_known():
+    """What cannot change has no unit to measure its changes by."""
+    known = dict.fromkeys(("gyro_bias_deg_h", "accel_bias_ug"), jnp.asarray(0.0))
+    imu = dataclasses.replace(imu_errors("navigation"), **known)
+    method = RobustMap(imu=imu, tolerance=1e-9, iterations=60)
+    epochs = epochs_from_log(simulate("dvl-sturn", seed=2, outliers="fixed", duration=60.0))
+
+    def values(x):
+        changed = with_parameters(method, {"outliers": 0.02 * jnp.exp(x[0]), "spread": 30.0 * jnp.exp(x[1])})
+        found = changed.solve(eqx.tree_at(lambda e: e.site.lat, epochs, epochs.site.lat + x[2]), 60)
+        return jnp.array([found.q_nb[-1, 3], found.sd[-1, 2]])
+
+    zero = jnp.zeros(3)
+    forward, reverse = (np.asarray(jax.jit(mode(values))(zero)) for mode in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-6, atol=1e-8 * np.abs(reverse).max())
+    call = jax.jit(values)
+    numeric = (call(zero.at[2].set(1e-3)) - call(zero.at[2].set(-1e-3))) / 2e-3
+    np.testing.assert_allclose(reverse[:, 2], numeric, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_broken_run_leaves_the_derivatives_of_others():
+    epochs = epochs_from_log(simulate("dvl-sturn", seed=2, outliers="fixed", duration=60.0))
+    each = (epochs.rows.rotation, epochs.rows.dvel, epochs.rows.velocity)
+    each = jax.tree.map(lambda x: jnp.stack([x, x], axis=-1), each)
+    rows = eqx.tree_at(lambda r: (r.rotation, r.dvel, r.velocity), epochs.rows, each)
+    rows = eqx.tree_at(lambda r: r.dvel.x, rows, rows.dvel.x.at[30, 1].set(jnp.nan))
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(velocity):
+        made = eqx.tree_at(lambda e: e.rows, epochs, eqx.tree_at(lambda r: r.velocity.x, rows, velocity))
+        found = RobustMap().solve_runs(made, 60)
+        return jnp.sum(jnp.where(found.defined[:, -1], found.q_nb[:, -1, 3], 0.0))
+
+    value, slope = loss(rows.velocity.x)
+    assert np.isfinite(value)
+    assert np.isfinite(slope[:, 0]).all()
+    assert np.abs(slope[:, 0]).max() > 1e-6
+
+
+@pytest.mark.slow
 def test_a_constant_inside_traced_code():
     method, epochs = RobustMap(), epochs_from_log(simulate("dvl-sturn", seed=2, duration=60.0))
     last = np.array([60])
