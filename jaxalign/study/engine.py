@@ -10,11 +10,11 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -166,7 +166,7 @@ class _Collected:
             parts = [kept[i] for i in sorted(kept)]
             runs = self.runs(study)
             stacked = jax.tree.map(lambda *x: np.stack(x), *parts)
-            stacked = eqx.tree_at(lambda t: t.bins, stacked, self.bins[job.label], is_leaf=lambda x: x is None)
+            stacked = replace(stacked, bins=self.bins[job.label])
             out[job.label] = statistics_of(job.judge[0], runs, stacked)
         return Result(study, out)
 
@@ -189,7 +189,7 @@ def _stacked(parts: list[dict[str, Tally]], blocks: int, most: int) -> dict[str,
     for label in parts[0]:
         whole = jax.tree.map(lambda *x: np.stack(x), *(part[label] for part in parts))
         bins = np.sum(whole.bins[:own], axis=0, dtype=np.int64)
-        rest = eqx.tree_at(lambda t: t.bins, whole, None)
+        rest = replace(whole, bins=None)
         sent[label] = (jax.tree.map(filled, rest) if processes > 1 else rest, bins)
     received = devices.everyone(sent)
 
@@ -200,7 +200,7 @@ def _stacked(parts: list[dict[str, Tally]], blocks: int, most: int) -> dict[str,
     for label in sent:
         whole = jax.tree.map(in_order, *(one[label][0] for one in received))
         bins = sum(one[label][1] for one in received)
-        out[label] = eqx.tree_at(lambda t: t.bins, whole, bins, is_leaf=lambda x: x is None)
+        out[label] = replace(whole, bins=bins)
     return out
 
 
