@@ -30,7 +30,7 @@ __all__ = ["LANES", "Found", "on_host", "padded", "traced"]
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
 _EXACT = 1e-9  # of a derivative: what further rounds would change
-_FEWEST, _OFTEN = 3, 100  # rounds; each leaves less than half of the error, mostly less than a tenth
+_FEWEST, _OFTEN = 3, 100  # rounds at least and at most
 _SLOWEST = 0.99  # share of a change that the next round leaves
 
 

@@ -70,8 +70,8 @@ class RobustMap(eqx.Module):
         iterations: Gauss-Newton steps, at most; fewer where it has converged. Up to 1000.
         tolerance: it has converged where a step moves it by less, in standard deviations, and the noise by less of
             itself. Derivatives hold to about a hundred times as much; with a navigation aid, those of the covariance
-            and of the likelihood to some 0.2 % (they leave out how the velocities that are taken for steady depend on
-            the gains of the filter).
+            and of the likelihood are approximate: they leave out how the velocities that are taken for steady depend on
+            the gains of the filter.
         aid: that it observes.
         interval_samples: IMU samples per epoch; None: as the log has it.
 

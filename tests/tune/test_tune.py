@@ -59,14 +59,15 @@ def test_the_loss_is_the_accuracy_of_the_study(tune, tuned):
 
 
 @pytest.mark.slow
-def test_modes_agree_with_differences(tune):
-    objective, batch, _ = engine.prepared(tune)
+def test_modes_agree_with_differences():
+    whole = scenario("dvl-sturn", outliers="fixed")  # on a short log the slope is small beside the last bits
+    objective, batch, _ = engine.prepared(of(whole, build("roba", "body", {"weight.gamma": 0.2}), seed=2))
     free = {"weight.gamma": jnp.asarray(0.3)}
     (one, forward), (two, reverse) = (
         eqx.filter_jit(loss_and_slope)(objective, free, batch, mode) for mode in ("forward", "reverse")
     )
     np.testing.assert_allclose(one, two, rtol=1e-9)  # two programs: the last bits grow a million times
-    np.testing.assert_allclose(forward["weight.gamma"], reverse["weight.gamma"], rtol=1e-7)
+    np.testing.assert_allclose(forward["weight.gamma"], reverse["weight.gamma"], rtol=1e-8)
     value = eqx.filter_jit(lambda x: objective({"weight.gamma": x}, batch))
     for h in (1e-4, 3e-5):
         numeric = (value(0.3 + h) - value(0.3 - h)) / (2 * h)
