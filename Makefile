@@ -33,14 +33,14 @@ run: $(STAMP)
 		--runs 1000 --every 20 --out out/dvl-sturn --plot
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow and not exact" --optimise none $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m "not slow and not exact" --optimise none $(ARGS)
 
 test-times: ARGS += --times
 test-times: test
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "exact or long" --optimise less $(ARGS)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "slow and not exact and not long" --optimise none $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m "exact or long" --optimise less $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m "slow and not exact and not long" --optimise none $(ARGS)
 
 test-all: test test-slow
 

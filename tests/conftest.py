@@ -1,8 +1,10 @@
 import gc
 import itertools
 import os
+import re
 import signal
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 
 import cache
@@ -42,6 +44,7 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if not hasattr(config, "workerinput"):
         flags = os.environ.get("XLA_FLAGS") or OPTIMISE[config.getoption("optimise")]
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its matrices are small; its threads wait by turning
         if cache.tried(flags):  # XLA aborts on a flag that it does not know
             os.environ["XLA_FLAGS"] = flags  # workers and commands inherit them
     cache.use()
@@ -49,13 +52,45 @@ def pytest_configure(config):
         config.pluginmanager.register(Times())
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_finish():
+    gc.freeze()  # modules and tests stay: not looked through again
+
+
+# Files that share what they compile go to one worker.
+TOGETHER = {
+    "tests/cli/test_study_command.py": "tests/study",
+    "tests/study/test_study_store.py": "tests/study",
+    "tests/study/test_study.py": "tests/study",
+}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
     """A file goes to one worker, which compiles once what its tests share; of the contract, the rows of one recipe."""
-    for item in items:
-        values = getattr(getattr(item, "callspec", None), "params", {})
-        recipe = f"{values['name']}-{values['aid']}" if {"name", "aid"} <= values.keys() else None
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(recipe or item.path.stem))
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByPrograms(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            path, _, name = nodeid.partition("::")
+            recipe = re.search(r"\[(\w+-(?:body|nav|static))\b", name)
+            return recipe[1] if recipe else TOGETHER.get(path, path)
+
+    return ByPrograms(config, log)
+
+
+def roomy(call, /, *arguments, **named):
+    return call(*arguments, **named)
+
+
+# CPython keeps its frames in chunks of 16 KiB; where a loop of calls straddles the end of one, every call maps and
+# unmaps memory, and costs 100 times as much. A frame that asks for much gets a chunk of a size to hold all the others.
+roomy.__code__ = roomy.__code__.replace(co_stacksize=1 << 17)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem):
+    pyfuncitem.obj = partial(roomy, pyfuncitem.obj)
+    return (yield)
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,6 @@ from studies import RUNS, arrays, result_of_small
 
 from jaxalign import UserError
 
-pytestmark = pytest.mark.xdist_group("study")  # one worker compiles for all
-
 
 @pytest.fixture(scope="module")
 def result():

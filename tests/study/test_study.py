@@ -19,8 +19,6 @@ from jaxalign.study.feed import run_keys
 from jaxalign.study.settings import described
 from jaxalign.study.statistics import MethodStatistics
 
-pytestmark = pytest.mark.xdist_group("study")  # one worker compiles for all
-
 
 @pytest.fixture(scope="module")
 def made(study):

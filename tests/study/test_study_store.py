@@ -11,8 +11,6 @@ from studies import RUNS, assert_identical, result_of_small, small
 from jaxalign import UserError, with_parameters
 from jaxalign.study import Interrupted, Study, engine, run
 
-pytestmark = pytest.mark.xdist_group("study")  # one worker compiles for all
-
 
 @pytest.fixture(scope="module")
 def study():

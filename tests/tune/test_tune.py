@@ -21,7 +21,6 @@ from jaxalign.tune import LOSSES, Convergence, LogRmse, Misfit, Quantile, Rmse, 
 from jaxalign.tune.objective import loss_and_slope
 from jaxalign.weight import AbstractWeight
 
-pytestmark = pytest.mark.xdist_group("tune")  # one worker compiles for all
 RUNS = 32
 
 
