@@ -7,7 +7,7 @@ import jax
 import pytest
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
-TOP = int(os.environ.get("TOP", 15))
+TOP = 15
 
 
 def cpu_seconds() -> float:

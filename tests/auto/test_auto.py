@@ -26,9 +26,10 @@ def of_grade(name, grade, **options):
     return simulate(made, seed=5)
 
 
+@pytest.mark.slow  # the first: test_command
 @pytest.mark.parametrize(
     "grade",
-    ["navigation", pytest.param("tactical", marks=pytest.mark.slow), pytest.param("mems", marks=pytest.mark.slow)],
+    ["navigation", "tactical", "mems"],
 )
 def test_the_grade_is_that_of_the_data(grade):
     log = of_grade("dvl-sturn", grade)
@@ -77,6 +78,7 @@ def test_too_few_fixes_to_tell():
     assert "too few fixes" in choice.reasons[-1]
 
 
+@pytest.mark.slow
 def test_a_unit_beyond_all_grades_is_told():
     made = scenario("dvl-sturn")
     log = simulate(dataclasses.replace(made, gyro=gyro_errors(1500.0, 0.3)), seed=4)
@@ -117,10 +119,16 @@ def test_command(tmp_path, capsys):
         assert len(z["t"]) == 51
         assert z["calibration"].shape == (51, 4)
         assert z["euler_sd_deg"][-1, 2] < 0.5
-    assert main(["align", str(path), "--method", "auto", "--imu", "tactical", "--every", "300"]) == 0
-    assert "inertial unit: as stated" in capsys.readouterr().out
     assert main(["align", str(path), "--prefilter", "vondrak"]) == 2
     assert "--prefilter: auto takes none" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_command_with_a_stated_unit(tmp_path, capsys):
+    path = tmp_path / "log.npz"
+    write_npz(simulate("dvl-sturn", seed=1, outliers="fixed"), path)
+    assert main(["align", str(path), "--method", "auto", "--imu", "tactical", "--every", "300"]) == 0
+    assert "inertial unit: as stated" in capsys.readouterr().out
 
 
 def struck(log, seed):

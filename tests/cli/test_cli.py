@@ -255,6 +255,7 @@ def test_aid_noise_is_estimated_where_it_is_not_stated(files, tmp_path, capsys):
         assert (recipe["aid_sd"], recipe["aid_sd_from"]) == (0.2, "user")
 
 
+@pytest.mark.slow
 def test_a_recipe_holds_the_figures_of_the_unit(files, tmp_path, capsys):
     """--imu reaches the method that is written, and its deviations need no --imu when it is read back."""
     out = tmp_path / "out.npz"

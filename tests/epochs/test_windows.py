@@ -1,5 +1,7 @@
 """Sliding windows, epochs between fixes, noise of the aid: they go together on real logs."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,8 +31,6 @@ def test_a_window_never_stops_for_want_of_a_far_end(log, window):
 
 @pytest.mark.slow
 def test_a_window_over_lost_fixes_reaches_back_to_the_last_one(log):
-    import dataclasses
-
     velocity = log.velocity.copy()
     velocity[1::2] = np.nan
     holed = dataclasses.replace(log, velocity=velocity)
@@ -41,18 +41,17 @@ def test_a_window_over_lost_fixes_reaches_back_to_the_last_one(log):
     np.testing.assert_allclose(np.asarray(odd.alpha)[late], np.asarray(wide.alpha)[late], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_window_of_the_whole_length_is_the_whole(log):
     whole, window = (align(build("oba", "body", {"observe.window": w}), log) for w in (0.0, 300.0))
     np.testing.assert_allclose(window.q_nb, whole.q_nb, atol=1e-9)
 
 
-def test_noise_is_estimated_whatever_the_interval(log):
-    import dataclasses
-
+@pytest.mark.parametrize("parameters", [{}, pytest.param({"observe.interval_samples": 50}, marks=pytest.mark.slow)])
+def test_noise_is_estimated_whatever_the_interval(log, parameters):
     bare = dataclasses.replace(log, aid_sd=None)
-    for parameters in ({}, {"observe.interval_samples": 50}):
-        found = align(build("oba", "body", parameters), bare, every=100)
-        assert float(found.aid_sd[-1]) == pytest.approx(0.1, rel=0.2)
+    found = align(build("oba", "body", parameters), bare, every=100)
+    assert float(found.aid_sd[-1]) == pytest.approx(0.1, rel=0.2)
 
 
 @pytest.mark.slow
@@ -148,8 +147,6 @@ def test_a_row_of_a_solution_is_a_solution(log):
 
 @pytest.mark.uncached
 def test_logs_with_slightly_different_clocks_share_a_program(log, caplog):
-    import dataclasses
-
     method = build("oba")
     align(method, log, 100)
     with jax.log_compiles(), caplog.at_level("WARNING"):

@@ -137,7 +137,7 @@ def test_increments_close(name):
     assert np.abs(h - t.h[1:]).max() < 1e-4
 
 
-@pytest.mark.parametrize("name", ["s_turn", "accelerate_and_turn"])
+@pytest.mark.parametrize("name", ["s_turn", pytest.param("accelerate_and_turn", marks=pytest.mark.slow)])
 def test_position_against_an_ode_solver(name):
     trajectory, rate = CLOSURE[name]
     exact = truth_of(name)

@@ -245,7 +245,7 @@ def test_files(result, tmp_path):
     np.testing.assert_allclose(float(cells["rmse_deg"]), result["roba"].rmse.value[-1, 2], rtol=1e-6)
     text = paths[2].read_text()
     assert "| oba |" in text
-    assert "100 runs, seed 4" in text
+    assert f"{RUNS} runs, seed 4" in text
     with Image.open(paths[3]) as picture:
         assert picture.size[0] > 500
 

@@ -52,7 +52,8 @@ def errors():
     return RunErrors(jnp.asarray(euler), jnp.asarray(euler), jnp.arange(10.0, 61.0, 10.0))
 
 
-def test_the_loss_is_the_accuracy_of_the_study(tune, tuned):
+def test_the_loss_is_the_accuracy_of_the_study(tune):
+    tuned = run(of(tune.scenario, tune.method, steps=2, seed=2))
     study = run_study(Study(tune.scenario, {"roba": tune.method}, RUNS, seed=2))
     np.testing.assert_allclose(tuned.history.loss[0], study["roba"].accuracy.value[2], rtol=1e-9)
 

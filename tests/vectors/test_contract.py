@@ -33,8 +33,8 @@ SENSITIVE = ("rkf_oba", "revising_oba")
 EVERY_AID = ("oba",)
 
 
-# Its filter: tests/filters/test_fine.py.
-TESTED_ELSEWHERE = ("fine",)
+# Their filter and solver: tests/filters/test_fine.py, tests/batch.
+TESTED_ELSEWHERE = ("fine", "robust_map")
 
 
 def _slow(every_aid=(), kinds=tuple(RECIPES), sensitive=()):

@@ -116,6 +116,7 @@ def test_derivatives_of_robust_weights_away_from_their_corners(name):
     assert_derivatives(last, [[0.31, 0.12, 9.81], [3.0, -1.0, 9.0], [0.2, 0.1, 60.0]], steps=(1e-3, 2e-4), third=1e3)
 
 
+@pytest.mark.slow
 def test_optimal_request_is_the_q_method():
     """Constant R: on unit vectors. Physical R: on the vectors as they are, if beta has the length of alpha."""
     epochs = epochs_of("nav", noise=False)
@@ -168,6 +169,7 @@ def test_vo_tvk_depends_on_the_mounting():
     assert change["vo_tvk"] > 1.0
 
 
+@pytest.mark.slow
 def test_quaternion_filter_averages():
     """Ten epochs to a measurement: between them the attitude in inertial space does not move."""
     epochs = epochs_of("static")

@@ -97,7 +97,6 @@ TABLE = [
 ]
 FREE = {"robust_map": 1e6}
 STEPS = {"moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
-QUICK = ("roba",)
 
 
 def expanded():
@@ -105,9 +104,7 @@ def expanded():
         for row, aid in ROWS:
             if row == name and (active or idle) and aid == RECIPES[name].aids[0]:
                 label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
-                quick = name in QUICK and aid == RECIPES[name].aids[0] and "weight.residual" not in settings
-                marks = () if quick else pytest.mark.slow
-                yield pytest.param(name, aid, settings, active.split(), idle.split(), id=label, marks=marks)
+                yield pytest.param(name, aid, settings, active.split(), idle.split(), id=label)
 
 
 def test_the_table_is_whole():
@@ -118,6 +115,7 @@ def test_the_table_is_whole():
         assert listed == known, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "aid", "settings", "active", "idle"), list(expanded()))
 def test_derivatives(name, aid, settings, active, idle):
     """60 epochs over 300 s; by relative changes of the numbers."""
