@@ -80,20 +80,26 @@ def _reduce(method: Any, epochs: Epochs, exact: Truth, where: Rows, judge: Any, 
     return tally(errors_of(method, epochs, exact, where), counted, *judge)
 
 
-_known: list[tuple[Scenario, Truth]] = []
+_known: list[tuple[Scenario, Scenario, Truth]] = []
 
 
-def _truth_of(made: Scenario) -> Truth:
-    """The truth of a scenario; that of the last one is kept: its quadrature takes as long as a thousand runs."""
+def _truth_of(made: Scenario) -> tuple[Scenario, Truth]:
+    """A scenario and its truth, on a device; those of the last one are kept: they take as long as a thousand runs."""
     if not (_known and _known[0][0] is made):
         exact = truth(made)
-        _known[:] = [(made, devices.placed(exact, next(iter(exact.dtheta.devices()))))]
-    return _known[0][1]
+        _known[:] = [(made, *devices.placed((made, exact), next(iter(exact.dtheta.devices()))))]
+    return _known[0][1:]
+
+
+@cache
+def _pool(count: int) -> ThreadPoolExecutor:
+    """A thread per device; kept, for a study of few runs takes as long as to start one."""
+    return ThreadPoolExecutor(count)
 
 
 def _jobs(study: Study) -> Iterator[_Job]:
-    made, seed = study.scenario, jax.random.key(study.seed)
-    exact = _truth_of(made)
+    seed = jax.random.key(study.seed)
+    made, exact = _truth_of(study.scenario)
     worlds: dict[str, World] = {}
     times = np.asarray(exact.t)
     start, stop = study.window
@@ -181,16 +187,18 @@ def _stacked(parts: list[dict[str, Tally]], blocks: int, most: int) -> dict[str,
     """
     processes, rank = jax.process_count(), jax.process_index()
     own = len(range(rank, blocks, processes))
+    sent = {}
+    for label in parts[0]:
+        rest = (replace(part[label], bins=None) for part in parts)
+        bins = sum((part[label].bins for part in parts[:own]), np.zeros_like(parts[0][label].bins, np.int64))
+        sent[label] = jax.tree.map(lambda *x: np.stack(x), *rest), bins
+    if processes == 1:
+        return {label: replace(rest, bins=bins) for label, (rest, bins) in sent.items()}
 
     def filled(x: np.ndarray) -> np.ndarray:  # all messages have one shape
         return np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
 
-    sent = {}
-    for label in parts[0]:
-        whole = jax.tree.map(lambda *x: np.stack(x), *(part[label] for part in parts))
-        bins = np.sum(whole.bins[:own], axis=0, dtype=np.int64)
-        rest = replace(whole, bins=None)
-        sent[label] = (jax.tree.map(filled, rest) if processes > 1 else rest, bins)
+    sent = {label: (jax.tree.map(filled, rest), bins) for label, (rest, bins) in sent.items()}
     received = devices.everyone(sent)
 
     def in_order(*x: np.ndarray) -> np.ndarray:
@@ -286,11 +294,13 @@ def _run(
     workers = [_Worker(study, jobs, device, i * len(jobs) // len(used)) for i, device in enumerate(used)]
     bar.set_description("compiling" if plan else "")
     bar.update(min(int(done.sum()) * study.block, study.runs))
-    pool = ThreadPoolExecutor(len(here))
+    pool, begun = _pool(len(here)), list[Future[Any]]()
 
     def begin(first: int, blocks: int) -> list[Future[dict[str, Tally]]]:
         own = range(first + jax.process_index(), first + blocks, jax.process_count()) or range(first, first + 1)
-        return [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
+        futures = [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
+        begun[:] = [future for future in begun if not future.done()] + futures
+        return futures
 
     waiting = [begin(*plan[0])] if plan else []
     try:
@@ -317,7 +327,8 @@ def _run(
             if interrupted or asked:
                 raise _interrupted(study, jobs, collected, store) from None
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        for future in begun:
+            future.cancel()
         if store is not None:
             store.close()
     return collected.result(study, jobs) if speaks else None

@@ -143,14 +143,17 @@ def _percentiles(bins: np.ndarray, known: np.ndarray) -> Estimate:
     middle = np.array(PERCENTILES)[:, None, None] / 100.0
     half = np.sqrt(middle * (1 - middle) / np.maximum(count, 1))
     rank = np.stack([middle + 0 * half, np.minimum(middle + half, 1.0), np.maximum(middle - half, 0.0)]) * count
-    # All rows in one ascending line, to be searched at once; in whole numbers, which no offset rounds.
-    cumulated = np.cumsum(bins, axis=-1, dtype=np.int64)
-    apart = cumulated[..., -1].max(initial=0) + 1
-    row = np.arange(bins[..., 0].size).reshape(bins.shape[:-1])
-    first = np.searchsorted((cumulated + apart * row[..., None]).ravel(), np.ceil(rank).astype(np.int64) + apart * row)
-    place = np.clip(first - size * row, 0, size - 1)
-    inside = bins.ravel()[place + size * row]
-    below = cumulated.ravel()[place + size * row] - inside
+    # All rows are searched at once: of the bins those that hold some, counted on in whole numbers, which nothing rounds.
+    counts = bins.ravel()
+    held = np.append(np.flatnonzero(counts), counts.size - 1)
+    line = np.concatenate([[0], np.cumsum(counts[held], dtype=np.int64)])
+    row = np.arange(counts.size // size).reshape(bins.shape[:-1])
+    before = line[np.searchsorted(held, size * row)]
+    wanted = before + np.ceil(rank).astype(np.int64)
+    at_least = np.minimum(np.searchsorted(line[1:], wanted), len(held) - 1)
+    place = np.where(wanted > before, np.clip(held[at_least] - size * row, 0, size - 1), 0)
+    inside = counts[place + size * row]
+    below = np.where(wanted > before, line[at_least] - before, 0)
     part = np.clip((rank - below) / np.maximum(inside, 1), 0.0, 1.0)
     at, high, low = np.where(count > 0, edges[place] + part * (edges[place + 1] - edges[place]), np.nan)
     return Estimate(at, np.where(middle + half <= 1.0, (high - low) / 2, np.nan))  # NaN: too few runs to tell
