@@ -143,7 +143,7 @@ def _percentiles(bins: np.ndarray, known: np.ndarray) -> Estimate:
     middle = np.array(PERCENTILES)[:, None, None] / 100.0
     half = np.sqrt(middle * (1 - middle) / np.maximum(count, 1))
     rank = np.stack([middle + 0 * half, np.minimum(middle + half, 1.0), np.maximum(middle - half, 0.0)]) * count
-    # All rows are searched at once: of the bins those that hold some, counted on in whole numbers, which nothing rounds.
+    # All rows are searched at once: of the bins those that hold some, counted on in whole numbers (nothing rounds).
     counts = bins.ravel()
     held = np.append(np.flatnonzero(counts), counts.size - 1)
     line = np.concatenate([[0], np.cumsum(counts[held], dtype=np.int64)])
