@@ -80,14 +80,16 @@ class Program(Generic[P, R]):
         store = self._memory if settings.store() is None else settings.store()
         if store is None or any(getattr(jax.config, name) for name in _ERRORS):
             return self._usual(*args, **kwargs)
-        arrays, rest = eqx.partition((args, kwargs), eqx.is_array)
-        leaves, given = jax.tree.flatten(arrays)
+        everything, given = jax.tree.flatten((args, kwargs))
+        leaves = [x for x in everything if eqx.is_array(x)]
         device = None if any(isinstance(x, Tracer) for x in leaves) else _device(leaves)
         if device is None:
             return self._usual(*args, **kwargs)
-        fixed, around = jax.tree.flatten(rest)
-        kinds = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False), _committed(x)) for x in leaves)
-        key = (given, kinds, around, tuple(fixed), *(getattr(jax.config, name) for name in _WATCHED))
+        kinds = tuple(  # for a small program this takes as long as to run it
+            (x.shape, x.dtype, getattr(x, "weak_type", False), _committed(x)) if eqx.is_array(x) else x
+            for x in everything
+        )
+        key = (given, kinds, *(getattr(jax.config, name) for name in _WATCHED))
         try:
             hash(key)
         except TypeError:
@@ -95,14 +97,14 @@ class Program(Generic[P, R]):
         try:
             ready = self._ready[device, key]
         except KeyError:
-            ready = self._made(store, key, leaves, given, rest, device)
+            ready = self._made(store, key, leaves, args, kwargs, device)
             with self._alone:
                 while len(self._ready) >= _MOST:
                     self._ready.pop(next(iter(self._ready)))
                 self._ready[device, key] = ready
         return self._usual(*args, **kwargs) if ready is None else ready(leaves)
 
-    def _made(self, store: Any, key: Any, leaves: list[Any], given: Any, rest: Any, device: Any) -> Any:
+    def _made(self, store: Any, key: Any, leaves: list[Any], args: Any, kwargs: Any, device: Any) -> Any:
         """From the store, or for it; None where it cannot be found again."""
         name = f"{self._function.__module__}.{self._function.__qualname__}"
         where = f"{device.platform} {device.device_kind} {self._options}"
@@ -118,7 +120,7 @@ class Program(Generic[P, R]):
             if found is not None:
                 return found
             with store.hidden():  # XLA writes only half of what it has itself read
-                made, numbered, others = _compiled(self._function, leaves, given, rest, self._options)
+                made, numbered, others = _compiled(self._function, leaves, (args, kwargs), self._options)
             try:
                 data = _serialized(made, numbered, others, device)
             except Exception as error:  # of any kind, also of XLA: it computes all the same
@@ -131,12 +133,14 @@ class Program(Generic[P, R]):
             return _callable(made, numbered, others)
 
 
-def _compiled(function: Any, leaves: list[Any], given: Any, rest: Any, options: Any) -> tuple[Any, Any, Any]:
+def _compiled(function: Any, leaves: list[Any], given: Any, options: Any) -> tuple[Any, Any, Any]:
     """The executable, of flat arguments and results, and what the results are: a tree with their numbers, the rest."""
     made = []
+    arguments, rest = eqx.partition(given, eqx.is_array)
+    structure = jax.tree.structure(arguments)
 
     def flat(leaves: list[Any]) -> list[Any]:
-        args, kwargs = eqx.combine(given.unflatten(leaves), rest)
+        args, kwargs = eqx.combine(structure.unflatten(leaves), rest)
         arrays, others = eqx.partition(function(*args, **kwargs), eqx.is_array)
         out, tree = jax.tree.flatten(arrays)
         made[:] = [tree.unflatten(range(len(out))), others]
@@ -195,6 +199,8 @@ def _loaded_elsewhere(program: bytes, taken: Any, results: Any, execution_device
 
 def _callable(executable: Any, numbered: Any, others: Any) -> Callable[[list[Any]], Any]:
     tree = jax.tree.structure(numbered)
+    if not jax.tree.leaves(others):
+        return lambda leaves: tree.unflatten(executable(leaves))
     return lambda leaves: eqx.combine(tree.unflatten(executable(leaves)), others)
 
 
