@@ -163,7 +163,7 @@ def studies(sizes: Sizes, device: Any, clock: Clock) -> Iterator[str]:
 
 def batch(sizes: Sizes, device: Any, clock: Clock) -> Iterator[str]:
     """`robust_map` over more and more runs at once: two attitudes each."""
-    from jaxalign.batch import ImuErrors, RobustMap
+    from jaxalign.batch import RobustMap
     from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth
 
     yield from (
@@ -173,7 +173,7 @@ def batch(sizes: Sizes, device: Any, clock: Clock) -> Iterator[str]:
         "|---|---|---|---|---|",
     )
     made = scenario(SCENARIO, outliers="fixed")
-    method, intervals = RobustMap(imu=ImuErrors.of(made)), intervals_of(truth(made), made.aid_every)
+    method, intervals = RobustMap(imu=made.imu), intervals_of(truth(made), made.aid_every)
     solve = jax.jit(jax.vmap(lambda e: method.solve(e, made.epochs).q_nb))
     draw = jax.jit(jax.vmap(lambda key: measure_epochs(intervals, made, key)))
     compile_s, each = 30.0, 0.0

@@ -23,7 +23,8 @@ jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 
 from benchmarks.machine import machine  # noqa: E402
 from jaxalign import epochs_from_log  # noqa: E402
-from jaxalign.batch import ImuErrors, RobustMap  # noqa: E402
+from jaxalign.batch import RobustMap  # noqa: E402
+from jaxalign.inertial_unit import ImuErrors  # noqa: E402
 from jaxalign.methods import build  # noqa: E402
 from jaxalign.metrics import attitude_error_deg  # noqa: E402
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth  # noqa: E402
@@ -65,7 +66,7 @@ def one_log(label: str, method: RobustMap, made: Any) -> str:
 def logs() -> list[str]:
     """One log at a time: the usual, many states, biases that an uncalibrated low-cost unit has, and two hours."""
     made = scenario(SCENARIO, outliers="fixed")
-    usual = RobustMap(imu=ImuErrors.of(made))
+    usual = RobustMap(imu=made.imu)
     wild = scenario("gps-zigzag")
     biases = jnp.array([7000.0, -4000.0, 5000.0]) * DEG_H, jnp.array([5000.0, 2000.0, -5000.0]) * UG
     wild = eqx.tree_at(lambda s: (s.gyro.bias, s.accel.bias), wild, biases)
@@ -102,7 +103,7 @@ def main() -> None:
     keys = jax.random.split(jax.random.key(0), runs)
     epochs = jax.block_until_ready(jax.jit(lambda keys: measure_epochs(intervals, made, keys))(keys))
     every = made.epochs // READOUTS
-    robust = RobustMap(imu=ImuErrors.of(made))
+    robust = RobustMap(imu=made.imu)
 
     def solver(method: Any, count: int) -> Callable[[], Any]:
         share = runs // count

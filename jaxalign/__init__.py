@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jaxalign import compilation, earth, io, methods, metrics, prefilter, rotation, simulate, study
     from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
     from jaxalign.auto import Choice, choose
-    from jaxalign.batch import ImuErrors, RobustMap, imu_errors
+    from jaxalign.batch import RobustMap
     from jaxalign.bounds import Bound, bound
     from jaxalign.earth import Site
     from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
         davenport,
     )
     from jaxalign.fine import ErrorFilter, Fine
+    from jaxalign.inertial_unit import ImuErrors, imu_errors
     from jaxalign.io import read
     from jaxalign.log import Log
     from jaxalign.navigate import NavState, navigate
@@ -137,7 +138,7 @@ __all__ = [
 _HOMES = {
     "aligner": "Aligner AlignState align estimate_aid_sd",
     "auto": "Choice choose",
-    "batch": "ImuErrors RobustMap imu_errors",
+    "batch": "RobustMap",
     "bounds": "Bound bound",
     "earth": "Site",
     "epochs": "Epoch Epochs epochs_from_arrays epochs_from_log",
@@ -147,6 +148,7 @@ _HOMES = {
         "RevisingWahba davenport"
     ),
     "fine": "ErrorFilter Fine",
+    "inertial_unit": "ImuErrors imu_errors",
     "io": "read",
     "log": "Log",
     "navigate": "NavState navigate",

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from jaxalign.aligner import epochs_for
-from jaxalign.batch.imu import GRADES, ImuErrors, imu_errors
 from jaxalign.batch.iterate import on_host
 from jaxalign.batch.robust_map import FEWEST_FIXES, RobustMap
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import GRADES, ImuErrors, imu_errors
 from jaxalign.log import Log
 from jaxalign.methods import build
 from jaxalign.units import DEG_H, UG

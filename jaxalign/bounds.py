@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.smoother import Prior, filtered
 from jaxalign.batch.solver import Model, Problem, State, linearized
 from jaxalign.batch.trajectory import TILT, UNKNOWN, Trajectory
 from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.precision import require_x64
 from jaxalign.rotation import euler_covariance, quat_from_dcm
 from jaxalign.simulate import Scenario, Truth, intervals_of, measure_epochs, noiseless, truth
@@ -103,4 +103,4 @@ def bound(scenario: Scenario, exact: Truth | None = None) -> Bound:
     epochs = _measured(exact, scenario)
     standing = scenario.aid == "static"
     sd = _EXACT if standing else jnp.maximum(scenario.aid_sd, _EXACT)
-    return _bound(epochs, exact, ImuErrors.of(scenario), sd, standing)
+    return _bound(epochs, exact, scenario.imu, sd, standing)

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.aligner import align, epochs_for
-from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.batch.trajectory import UNKNOWN
 from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.log import Log
 from jaxalign.prefilter.base import without_prefilter
 from jaxalign.preintegrate import Increment

@@ -13,7 +13,6 @@ from experiments.bound.conditions import recipes, with_condition
 from experiments.page import Table
 from experiments.progress import progress
 from experiments.statistics import Estimate
-from jaxalign.batch import ImuErrors
 from jaxalign.rotation import attitude_error, quat_from_dcm
 from jaxalign.simulate import Scenario, intervals_of, measure_epochs, scenario, truth
 from jaxalign.uncertainty import ensemble_covariance
@@ -86,7 +85,7 @@ def calibration(case: str, runs: int, seed: int) -> dict[str, Calibration]:
 @eqx.filter_jit
 def _solved(method: Any, made: Scenario, intervals: Any, keys: Any) -> tuple[Any, Any]:
     """Attitudes at the end and their covariances."""
-    imu = ImuErrors.of(made)
+    imu = made.imu
 
     def one(key: Any) -> tuple[Any, Any]:
         measured, drawn = jax.random.split(key)

@@ -10,9 +10,10 @@ import jax
 import numpy as np
 
 from experiments.monte_carlo import monte_carlo
-from jaxalign.batch import ImuErrors, RobustMap
+from jaxalign.batch import RobustMap
 from jaxalign.bounds import bound
 from jaxalign.fine import Fine
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.methods import RECIPES, build
 from jaxalign.parameters import with_parameters
 from jaxalign.simulate import Scenario, scenario, truth
@@ -72,7 +73,7 @@ def recipes(made: Scenario) -> dict[str, Any]:
 
 def matched(method: Any, made: Scenario) -> Any:
     """With the figures of the scenario's inertial unit, where a method has any."""
-    imu = ImuErrors.of(made)
+    imu = made.imu
     if isinstance(method, RobustMap):
         seconds = round(made.imu_rate) if made.aid == "static" else None
         return dataclasses.replace(method, imu=imu, interval_samples=seconds)

@@ -20,8 +20,9 @@ jax.config.update("jax_enable_x64", True)
 
 from experiments.progress import progress  # noqa: E402
 from jaxalign import Log, Solution, align, choose, estimate_aid_sd, read  # noqa: E402
-from jaxalign.batch import ImuErrors, RobustMap, imu_errors  # noqa: E402
+from jaxalign.batch import RobustMap  # noqa: E402
 from jaxalign.errors import UserError  # noqa: E402
+from jaxalign.inertial_unit import ImuErrors, imu_errors  # noqa: E402
 from jaxalign.methods import RECIPES, build  # noqa: E402
 from jaxalign.metrics import attitude_error_deg  # noqa: E402
 

@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 
 from jaxalign.aligner import align
 from jaxalign.batch.fix import PARTS, parts_of
-from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.iterate import LANES, Found, on_host, traced
 from jaxalign.batch.solver import Model, Problem
 from jaxalign.epochs import Aid, Epoch, Epochs, epochs_from_log, row_numbers
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.log import Log
 from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
 from jaxalign.parameters import tunable

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.batch.fix import PARTS, fixes, parts_of
-from jaxalign.batch.imu import ImuErrors
 from jaxalign.batch.reweight import estimated, median_variance, outlier_odds, settled, weighed
 from jaxalign.batch.smoother import Filtered, LinearProblem, Prior, Process
 from jaxalign.batch.solve import solved
@@ -34,6 +33,7 @@ from jaxalign.batch.trajectory import (
 )
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["LEAST_SD", "Model", "Problem", "Readout", "State", "initial_state", "linearized", "step"]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from jaxalign.errors import UserError
 
 if TYPE_CHECKING:
-    from jaxalign.batch import ImuErrors
+    from jaxalign.inertial_unit import ImuErrors
     from jaxalign.log import Log
 
 __all__ = ["add"]
@@ -82,10 +82,10 @@ def _run(options: argparse.Namespace) -> int:
 
     import jaxalign
     from jaxalign.aligner import align
-    from jaxalign.batch import imu_figures
     from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
     from jaxalign.epochs import check_every
+    from jaxalign.inertial_unit import imu_figures
     from jaxalign.io.files import replacing
     from jaxalign.method_file import method_entries
     from jaxalign.solution import check_threshold

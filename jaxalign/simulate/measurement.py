@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxalign import checks
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.log import Log
 from jaxalign.precision import require_x64
 from jaxalign.simulate.arguments import choice, leaf
@@ -24,6 +25,7 @@ from jaxalign.simulate.imu import Truth, jitted_increments
 from jaxalign.simulate.random import fold
 from jaxalign.simulate.sensors import SineForce, TriadErrors, white
 from jaxalign.simulate.trajectory import Trajectory
+from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
 __all__ = ["AidKind", "Scenario", "aid_velocity", "imu_increments", "log_of", "measure", "noiseless", "truth"]
 
@@ -83,6 +85,17 @@ class Scenario(eqx.Module):
                 f"duration: {self.duration:g} s are {epochs:g} epochs of {self.aid_every / self.imu_rate:g} s"
                 ": it must be a whole number of epochs, at least one"
             )
+
+    @property
+    def imu(self) -> ImuErrors:
+        """Figures of the inertial unit that it draws from (the largest of the axes; noise per sample as a density)."""
+        dt = 1.0 / self.imu_rate
+        return ImuErrors(
+            jnp.max(jnp.abs(self.gyro.bias)) / DEG_H,
+            self.gyro.increment_sd(dt) / jnp.sqrt(dt) / DEG_SQRT_H,
+            jnp.max(jnp.abs(self.accel.bias)) / UG,
+            self.accel.increment_sd(dt) / jnp.sqrt(dt) / UG,
+        )
 
     @property
     def samples(self) -> int:

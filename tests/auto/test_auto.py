@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from jaxalign import align, choose, imu_errors, read
-from jaxalign.batch import GRADES, RobustMap
+from jaxalign.batch import RobustMap
 from jaxalign.cli.main import main
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import GRADES
 from jaxalign.io.npz import write_npz
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.rotation import euler_from_dcm

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from statistical import outlying, phi_deg
 
-from jaxalign.batch import ImuErrors, RobustMap
+from jaxalign.batch import RobustMap
 from jaxalign.bounds import bound
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, truth
 
@@ -28,7 +28,7 @@ def errors(made, method, runs, every, seed=7):
 
 
 def on_the_bound(made, runs, every, most):
-    method = RobustMap(imu=ImuErrors.of(made), aid=made.aid)
+    method = RobustMap(imu=made.imu, aid=made.aid)
     phi, sd, limit = errors(made, method, runs, every)
     ratio = np.sqrt((phi**2).mean(axis=0)) / limit
     print(np.round(ratio, 3))

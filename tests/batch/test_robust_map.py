@@ -12,9 +12,10 @@ from frozen import epochs as frozen_epochs
 from statistical import outlying, phi_deg
 
 from jaxalign import Quat, Vec3, align, epochs_from_log, parameters, read, rotation, with_parameters
-from jaxalign.batch import ImuErrors, RobustMap, imu_errors
+from jaxalign.batch import RobustMap
 from jaxalign.batch.modes import best_of
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import ImuErrors, imu_errors
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
 from jaxalign.simulate.sensors import accel_errors, gyro_errors
@@ -48,7 +49,7 @@ def test_frozen_map(shared, name):
     """Another redescending loss, random-walk blocks instead of white noise: another estimate, near theirs."""
     arrays, log = case(shared, name)
     made = scenario("dvl-accturn" if "acc" in name else "dvl-sturn")
-    method = RobustMap(imu=ImuErrors.of(made), noise="stated")
+    method = RobustMap(imu=made.imu, noise="stated")
     rows = np.flatnonzero(np.isfinite(arrays["est_MAP"][:, 0, 0]))
     every = int(np.gcd.reduce(rows))
     found = align(method, frozen_epochs(log, "lookback", method), every=every, aid_sd=float(made.aid_sd))
@@ -63,7 +64,7 @@ def test_frozen_map(shared, name):
 def test_frozen_gps(shared):
     """Theirs with weights neglects the transport rate: what that costs is between two of their others."""
     arrays, log = case(shared, "gps_noise_base")
-    method = RobustMap(imu=ImuErrors.of(scenario("gps-zigzag")), aid="nav", noise="stated")
+    method = RobustMap(imu=scenario("gps-zigzag").imu, aid="nav", noise="stated")
     found = align(method, frozen_epochs(log, "pairs", method), every=len(log.velocity) - 1, aid_sd=1.0)
 
     def heading(name):
@@ -82,7 +83,7 @@ def test_mis_stated_noise(noise):
     exact = truth(made)
     epochs = measured(intervals_of(exact, made.aid_every), made, jax.random.key(1))
     epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, epochs.aid_sd / 1.5)
-    found = RobustMap(imu=ImuErrors.of(made), noise=noise).solve(epochs, 300)
+    found = RobustMap(imu=made.imu, noise=noise).solve(epochs, 300)
     np.testing.assert_allclose(found.aid_sd[-1], 0.1, rtol=0.08)
 
 
@@ -93,7 +94,7 @@ def test_calibration_of_the_doppler_log():
     log = simulate(made, seed=5)
     turn = Quat.exp(Vec3(*jnp.array([0.0, 0.0, np.deg2rad(1.5)]))).conjugate()
     spoiled = dataclasses.replace(log, velocity=np.asarray(1.006 * turn.rotate(Vec3.of(log.velocity)).array))
-    imu = ImuErrors.of(made)
+    imu = made.imu
     plain, calibrating = (RobustMap(imu=imu, calibrate=x, noise="stated") for x in ("none", "mounting"))
     wrong, mended = (attitude_error_deg(align(m, spoiled, every=log.epochs), log)[-1, 2] for m in (plain, calibrating))
     assert abs(wrong) > 0.5
@@ -133,7 +134,7 @@ def test_latency_and_lever_arm_are_found(name, unknown):
     made = dataclasses.replace(scenario(name), aid_sd=0.05)
     log, exact = simulate(made, seed=2), truth(made)
     log = spoilt(log, exact, late, lever)
-    imu = ImuErrors.of(made)
+    imu = made.imu
     plain, found = (
         align(
             RobustMap(imu=imu, aid=log.aid, calibrate=x, latency_sd=jnp.asarray(0.5), noise=noise),
@@ -212,7 +213,7 @@ def test_noise_as_large_as_the_changes_of_velocity(sd, seconds):
     """GNSS white of 10 m/s, or of 1 m/s that lasts for 20 s, on a car of 10 m/s: slow, but no step too far."""
     made = scenario("gps-zigzag")
     epochs, exact = coloured(made, jax.random.split(jax.random.key(1), 24), sd, seconds)
-    phi, deviation = headings(RobustMap(imu=ImuErrors.of(made), aid="nav"), epochs, exact)
+    phi, deviation = headings(RobustMap(imu=made.imu, aid="nav"), epochs, exact)
     print(np.sqrt(np.mean(phi**2)), np.median(deviation))
     assert np.sqrt(np.mean((phi / deviation) ** 2)) < 1.2
     assert np.abs(phi).max() < 30
@@ -224,7 +225,7 @@ def test_a_stated_noise_that_is_far_too_small_says_nothing_of_the_start():
     """30 s with a hundredth of the true noise stated: the heading is as open as it is."""
     made = scenario("dvl-sturn", duration=30.0)
     epochs = measured(intervals_of(truth(made), made.aid_every), made, jax.random.key(1))
-    method = RobustMap(imu=ImuErrors.of(made))
+    method = RobustMap(imu=made.imu)
     sd = [
         np.rad2deg(method.solve(eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(x)), 30).sd[-1, 2])
         for x in (0.1, 1e-3)
@@ -254,7 +255,7 @@ def test_noise_that_neighbours_share_is_counted():
     epochs, exact = coloured(made, jax.random.split(jax.random.key(3), 60), 0.1, 5.0)
     ratio = []
     for noise in ("at_least", "stated"):
-        phi, sd = headings(RobustMap(imu=ImuErrors.of(made), noise=noise), epochs, exact)
+        phi, sd = headings(RobustMap(imu=made.imu, noise=noise), epochs, exact)
         ratio.append(np.sqrt(np.mean((phi / sd) ** 2)))
     print(ratio)
     assert ratio[0] < 1.5

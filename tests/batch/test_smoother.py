@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from jaxalign import Quat, Vec3, epochs_from_log, rotation
-from jaxalign.batch import ImuErrors, fix, smoother, solver, trajectory
+from jaxalign.batch import fix, smoother, solver, trajectory
 from jaxalign.batch.fix import PARTS
 from jaxalign.batch.reweight import lower_median, settled
 from jaxalign.batch.smoother import Prior, propagate, transposed
 from jaxalign.batch.solve import solved
 from jaxalign.batch.solver import Model, Problem, State
 from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Trajectory
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.simulate import simulate
 
 EPOCHS = 13

@@ -10,10 +10,10 @@ import pytest
 from statistical import phi_deg
 
 from jaxalign import align, assess, imu_errors
-from jaxalign.batch import ImuErrors, imu_figures
 from jaxalign.bounds import bound
 from jaxalign.cli.main import main
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import imu_figures
 from jaxalign.io.npz import write_npz
 from jaxalign.methods import build
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
@@ -34,7 +34,7 @@ def solved(made, intervals, method, keys, every, draws):
         a, b, c = jax.random.split(key, 3)
         epochs = measure_epochs(intervals, drawn(made, a), b)
         found = method.solve(epochs, every)
-        return found.q_nb, ensemble_covariance(method, epochs, ImuErrors.of(made), found, every, draws, c)
+        return found.q_nb, ensemble_covariance(method, epochs, made.imu, found, every, draws, c)
 
     return jax.lax.map(one, keys)
 

@@ -5,21 +5,20 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError, close_names
 from jaxalign.parameters import as_float64, tunable, with_parameters
-from jaxalign.simulate import Scenario
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
 __all__ = ["GRADES", "ImuErrors", "imu_errors", "imu_figures"]
 
 
 class ImuErrors(eqx.Module):
-    """Figures of a data sheet, the same on the three axes.
+    """Figures of an inertial unit as its data sheet has them, the same on the three axes.
 
     Attributes:
         gyro_bias_deg_h: standard deviation of the constant bias of the gyroscopes.
@@ -32,18 +31,6 @@ class ImuErrors(eqx.Module):
     gyro_walk_deg_sqrt_h: Float[Array, ""] = tunable(0.01, unit="deg/sqrt(h)", bounds=(1e-6, 10.0))
     accel_bias_ug: Float[Array, ""] = tunable(100.0, unit="ug", bounds=(1e-3, 1e5))
     accel_noise_ug_sqrt_hz: Float[Array, ""] = tunable(50.0, unit="ug/sqrt(Hz)", bounds=(1e-3, 1e4))
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> ImuErrors:
-        """The figures that a scenario draws from (the largest of the axes; noise per sample as a density)."""
-        dt = 1.0 / scenario.imu_rate
-        gyro, accel = scenario.gyro, scenario.accel
-        return cls(
-            jnp.max(jnp.abs(gyro.bias)) / DEG_H,
-            gyro.increment_sd(dt) / jnp.sqrt(dt) / DEG_SQRT_H,
-            jnp.max(jnp.abs(accel.bias)) / UG,
-            accel.increment_sd(dt) / jnp.sqrt(dt) / UG,
-        )
 
     @property
     def gyro_bias(self) -> Float[Array, ""]:
@@ -64,6 +51,17 @@ class ImuErrors(eqx.Module):
     def accel_walk(self) -> Float[Array, ""]:
         """m/s/sqrt(s)."""
         return self.accel_noise_ug_sqrt_hz * UG
+
+    @classmethod
+    def checked(cls, given: Any) -> ImuErrors:
+        """What was given, if it is such figures.
+
+        Raises:
+            UserError: it is something else.
+        """
+        if not isinstance(given, cls):
+            raise UserError(f"imu = {given!r}: must be ImuErrors, for instance imu_errors('tactical')")
+        return given
 
 
 GRADES = {
