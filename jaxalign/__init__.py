@@ -24,7 +24,8 @@ from jaxalign.lazy import lazily
 
 if TYPE_CHECKING:
     from jaxalign import compilation, earth, io, methods, metrics, prefilter, rotation, simulate, study
-    from jaxalign.aligner import Aligner, AlignState, align, estimate_aid_sd
+    from jaxalign.aligner import Aligner, AlignState
+    from jaxalign.alignment import align, estimate_aid_sd
     from jaxalign.auto import Choice, choose
     from jaxalign.batch import RobustMap
     from jaxalign.bounds import Bound, bound
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from jaxalign.inertial_unit import ImuErrors, imu_errors
     from jaxalign.io import read
     from jaxalign.log import Log
+    from jaxalign.method import AbstractMethod
     from jaxalign.navigate import NavState, navigate
     from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
     from jaxalign.parameters import parameters, tunable, with_parameters
@@ -63,6 +65,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AbstractEstimate",
+    "AbstractMethod",
     "AbstractObserve",
     "AbstractReconstruct",
     "AbstractRecordMethod",
@@ -136,7 +139,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "aligner": "Aligner AlignState align estimate_aid_sd",
+    "aligner": "Aligner AlignState",
+    "alignment": "align estimate_aid_sd",
     "auto": "Choice choose",
     "batch": "RobustMap",
     "bounds": "Bound bound",
@@ -151,6 +155,7 @@ _HOMES = {
     "inertial_unit": "ImuErrors imu_errors",
     "io": "read",
     "log": "Log",
+    "method": "AbstractMethod",
     "navigate": "NavState navigate",
     "observe": "AbstractObserve BodyVelocity Context NavVelocity Pair Static",
     "parameters": "parameters tunable with_parameters",

@@ -5,36 +5,32 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxalign.aid_noise import white_noise_sd
 from jaxalign.compilation.programs import Program
 from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, check_every, check_prefilter, epochs_from_log, over_runs
-from jaxalign.errors import UserError
-from jaxalign.estimate import AbstractEstimate, QMethod, Readout
-from jaxalign.log import Log
-from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
-from jaxalign.parameters import as_float64
+from jaxalign.epochs import Epoch, Epochs, check_prefilter, strided_rows
+from jaxalign.estimate import AbstractEstimate, Readout
+from jaxalign.method import AbstractMethod
+from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.prefilter.base import optional_prefilter, without_prefilter
 from jaxalign.reconstruct import AbstractReconstruct, Measured
-from jaxalign.solution import Solution, Status
+from jaxalign.solution import Solution, status_bits
 from jaxalign.spread import Spread
 from jaxalign.vector import Quat, Vec3, where
 from jaxalign.weight import AbstractWeight, Unit
 
 _FEEDBACK = 10
 
-__all__ = ["AlignState", "Aligner", "align", "epochs_for", "estimate_aid_sd"]
+__all__ = ["AlignState", "Aligner"]
 
 
 class AlignState(eqx.Module):
@@ -62,7 +58,7 @@ class AlignState(eqx.Module):
         return Context(self.index, self.time, self.dt, attitude, defined, self.sd)
 
 
-class Aligner(eqx.Module):
+class Aligner(AbstractMethod):
     """A recursive method: a choice of four slots.
 
     ``state = aligner.init(site, interval)``, then ``state, row = aligner.step(state, epoch)`` for every epoch, the
@@ -78,10 +74,6 @@ class Aligner(eqx.Module):
             steps know nothing of it. None: no filter.
     """
 
-    has_covariance: ClassVar[bool] = False
-    """Whether its solutions come with a covariance."""
-    dear_rows: ClassVar[bool] = False
-    """Whether each row goes over all epochs before it; then ``solve`` takes ``done`` too, which is told of rows."""
     observe: AbstractObserve
     reconstruct: AbstractReconstruct = eqx.field(default_factory=Measured)
     weight: AbstractWeight = eqx.field(default_factory=Unit)
@@ -97,6 +89,20 @@ class Aligner(eqx.Module):
     def aid(self) -> str:
         """The kind of aid that it observes."""
         return self.observe.aid
+
+    @property
+    def interval_samples(self) -> int | None:
+        """IMU samples per epoch; None: as the log has it."""
+        return self.observe.interval_samples
+
+    @property
+    def fits_vectors(self) -> bool:
+        """Whether its residuals are those of reconstructed vectors."""
+        return self.reconstruct.fits
+
+    def whitened(self, residual: np.ndarray, time: np.ndarray, sd: float, interval: float) -> np.ndarray:
+        """As the observation has it, see :meth:`AbstractObserve.whitened`."""
+        return self.observe.whitened(residual, time, sd, interval)
 
     def init(self, site: Site, interval: float, aid_sd: Any = 1.0) -> AlignState:
         """State before the first epoch.
@@ -172,16 +178,8 @@ class Aligner(eqx.Module):
         residual = pair.residual(attitude)
         observable = state.spread.observable(state.sd, self.observe.steps) & defined
         finite = jnp.isfinite(readout.eigengap + q_nb.norm2() + residual.norm2())
-        bits = (
-            (~defined, Status.UNDEFINED),
-            (~observable, Status.HEADING_UNOBSERVABLE),
-            (~state.aided, Status.AID_MISSING),
-            (state.aided & (state.used == 0), Status.UNUSED),
-            (~finite, Status.NON_FINITE),
-        )
-        status = readout.status + sum(
-            (jnp.where(condition, jnp.int32(bit), 0) for condition, bit in bits), jnp.int32(0)
-        )
+        unused = state.aided & (state.used == 0)
+        bits = status_bits(defined=defined, observable=observable, aided=state.aided, finite=finite, unused=unused)
         row = Solution(
             time=state.time,
             q_nb=q_nb.array,
@@ -193,7 +191,7 @@ class Aligner(eqx.Module):
             alpha=pair.alpha.array,
             beta=pair.beta.array,
             covariance=None,
-            status=status,
+            status=readout.status + bits,
             aid_sd=state.sd,
         )
         return eqx.tree_at(lambda s: s.readout, state, readout), row
@@ -202,32 +200,10 @@ class Aligner(eqx.Module):
         """Consume one epoch and read out the attitude. Pure: no jit, print or callback inside."""
         return self.read(self.update(state, epoch), fresh=True)
 
-    def epochs(self, log: Log) -> Epochs:
-        """Preintegrate a log for this method.
-
-        Raises:
-            UserError: float32, or an aid that the method does not observe.
-        """
-        static = self.aid == "static"
-        if not static and log.aid != self.aid:
-            raise UserError(
-                f"{log.name} has a {log.aid!r} aid, the method observes {self.aid!r}: build it with aid={log.aid!r}"
-            )
-        return epochs_from_log(
-            log, interval_samples=self.observe.interval_samples, static=static, prefilter=self.prefilter
-        )
-
-    def solve(self, epochs: Epochs, every: int = 1) -> Solution:
-        """Align epochs: one compiled scan; also inside jit, vmap and grad."""
-        return _jitted(without_prefilter(self), epochs, every)
-
-    def solve_runs(self, epochs: Epochs, every: int = 1) -> Solution:
-        """Align many runs, see :func:`jaxalign.epochs.over_runs`."""
-        return over_runs(lambda one: self.solve(one, every), epochs)
-
-    def align(self, log: Log | Epochs, every: int = 1) -> Solution:
-        """See :func:`align`."""
-        return align(self, log, every)
+    def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] | None = None) -> Solution:
+        """Align epochs: one compiled scan; also inside jit, vmap and grad (see :meth:`AbstractMethod.solve`)."""
+        every, places = strided_rows(len(epochs), rows)
+        return _jitted(without_prefilter(self), epochs, every, places)
 
 
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
@@ -290,98 +266,6 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
 
 @Program
-def _jitted(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
-    return _scan(aligner, epochs, every)
-
-
-def estimate_aid_sd(epochs: Epochs) -> float:
-    """Standard deviation of the aid's white noise (m/s; standing: of the force over one interval), from the epochs.
-
-    Aligns once with the plain q-method to get the vectors, then :func:`jaxalign.aid_noise.white_noise_sd`.
-
-    Raises:
-        UserError: too few epochs to tell.
-    """
-    observe: AbstractObserve = {"static": Static, "body": BodyVelocity, "nav": NavVelocity}[epochs.aid]()
-    found = Aligner(observe, estimate=QMethod()).solve(epochs)
-    valid = np.asarray(found.status) & int(Status.AID_MISSING) == 0
-    sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid, walk=observe.steps)
-    if sd is None:
-        what = (
-            "epochs to estimate the noise of the force"
-            if epochs.aid == "static"
-            else "velocities to estimate the aid's"
-        )
-        raise UserError(f"too few {what}: state it (aid_sd of the log, --aid-sd), m/s")
-    return sd
-
-
-def _measured(method: Any, log: Log, epochs: Epochs) -> Epochs:
-    """The epochs of a log as measured: behind a prefilter the noise is not white, and cannot be estimated."""
-    raw = without_prefilter(method)
-    return epochs if raw is method else raw.epochs(log)
-
-
-def align(
-    method: Any, log: Log | Epochs, every: int = 1, aid_sd: Any = None, done: Callable[[int], None] | None = None
-) -> Solution:
-    """Align a log with a method.
-
-    Args:
-        method: a recipe of :mod:`jaxalign.methods`, an :class:`Aligner` of your own, or anything with ``aid``,
-            ``epochs(log)`` and ``solve(epochs, every)``.
-        log: a checked log (host), or Epochs (also inside jit, vmap, grad).
-        every: epochs between two rows of the result: they come at epoch 0, at each ``every``-th epoch and the last one.
-            The eigenproblem costs as much as all the rest of a step, so it is solved only for the rows, and for the
-            feedback of the attitude: into the transport rate at least every 10 epochs, into a weight that looks at
-            the attitude at each.
-        aid_sd: standard deviation of the aid's white noise per axis, m/s (for a method that takes the vehicle as
-            standing: of the force integrated over one interval). By default what the log says of the aid that the
-            method observes, else an estimate from the log (:func:`estimate_aid_sd`). ``Solution.aid_sd`` says what
-            was used.
-        done: told how many rows are finished, now and then, by a method whose rows are dear (``dear_rows``).
-
-    Returns:
-        A :class:`Solution`.
-
-    Raises:
-        UserError: float32, an aid that the method does not observe, ``every`` < 1, noise neither stated nor to be
-            estimated, or unfiltered epochs for a method with a prefilter.
-    """
-    check_every(every)
-    epochs = epochs_for(method, log, aid_sd)  # first: it refuses what is no method
-    if done is not None and method.dear_rows:
-        return method.solve(epochs, int(every), done)
-    return method.solve(epochs, int(every))
-
-
-def epochs_for(method: Any, log: Log | Epochs, aid_sd: Any = None) -> Epochs:
-    """What a method aligns: the epochs of a log as it makes them, with the noise of the aid.
-
-    Arguments and errors as of :func:`align`.
-    """
-    if not hasattr(method, "solve"):
-        raise UserError(f"{method!r} is no method: build one by name with jaxalign.methods.build('oba', aid='body')")
-    if not isinstance(log, Log | Epochs):
-        raise UserError(f"{log!r} is neither a Log nor Epochs: read a file with jaxalign.read(path)")
-    require_x64(method)
-    if isinstance(log, Epochs):
-        require_x64(log)
-        if log.aid != method.aid:
-            raise UserError(f"these epochs have a {log.aid!r} aid, the method observes {method.aid!r}")
-        if getattr(method, "prefilter", None) is not None and not log.filtered:
-            raise UserError(
-                "the method has a prefilter, but these epochs are not filtered: make them with method.epochs(log), or "
-                "with epochs_from_arrays(..., prefilter=method.prefilter)"
-            )
-        epochs = log
-    else:
-        epochs = method.epochs(log)
-        if aid_sd is None:
-            stated = log.aid_sd is not None and log.aid == epochs.aid
-            aid_sd = log.aid_sd if stated else estimate_aid_sd(_measured(method, log, epochs))
-    if aid_sd is not None:
-        if not isinstance(aid_sd, Tracer) and not np.all(np.asarray(aid_sd) > 0):
-            raise UserError(f"aid_sd = {aid_sd}: the standard deviation of the aid's noise must be above 0 m/s")
-        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, as_float64(aid_sd))
-    return epochs
+def _jitted(aligner: Aligner, epochs: Epochs, every: int, places: tuple[int, ...] | None) -> Solution:
+    found = _scan(aligner, epochs, every)
+    return found if places is None else jax.tree.map(lambda x: x[np.array(places)], found)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxalign.aligner import epochs_for
+from jaxalign.alignment import epochs_for
 from jaxalign.batch.iterate import on_host
 from jaxalign.batch.robust_map import FEWEST_FIXES, RobustMap
 from jaxalign.errors import UserError
@@ -74,8 +74,7 @@ def choose(
     """
     if not isinstance(log, Log):
         raise UserError(f"{log!r} is no Log: a method is chosen by what a log holds; read one with jaxalign.read(path)")
-    if imu is not None and not isinstance(imu, ImuErrors):
-        raise UserError(f"imu = {imu!r}: must be ImuErrors, for instance imu_errors('tactical')")
+    imu = None if imu is None else ImuErrors.checked(imu)
     settings = {"calibrate": _UNKNOWNS[log.aid], "interval_samples": _interval(log, _STEP), **(parameters or {})}
     given = sorted(x for x in parameters or {} if x.startswith("imu."))
     if given:

@@ -139,6 +139,19 @@ def row_numbers(count: int, rows: Any) -> np.ndarray:
     return numbers
 
 
+def strided_rows(count: int, rows: Any) -> tuple[int, tuple[int, ...] | None]:
+    """Rows of a recursion, which reads out at a stride: the stride, and which of its rows to take (None: all).
+
+    Arguments and errors as of :func:`row_numbers`.
+    """
+    if np.ndim(rows) == 0:
+        check_every(rows)
+        return int(rows), None
+    numbers, last = row_numbers(count, rows), count - 1
+    stride = int(np.gcd.reduce(numbers[numbers < last])) or max(last, 1)
+    return stride, tuple(np.searchsorted(row_numbers(count, stride), numbers).tolist())
+
+
 @partial(jax.jit, static_argnames=("every", "scheme"))
 def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
     moved = preintegrate(dtheta, dvel, every, scheme)

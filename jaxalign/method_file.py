@@ -31,7 +31,7 @@ class Named(NamedTuple):
 
 def method_entries(name: str, method: Any) -> dict[str, Any]:
     """What makes a method again, JSON-ready: recipe, aid, prefilter, parameters."""
-    prefilter = getattr(method, "prefilter", None)
+    prefilter = method.prefilter
     names = [key for key, kind in PREFILTERS.items() if type(prefilter) is kind]
     return {
         "method": name,

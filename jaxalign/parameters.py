@@ -135,7 +135,7 @@ def with_parameters(method: T, values: Mapping[str, Any]) -> T:
     for path, text in values.items():
         if path not in known:
             slot = path.partition(".")[0]
-            if getattr(method, slot, "") is None and slot != path:
+            if slot != path and vars(method).get(slot, "") is None:
                 raise UserError(f"{path}: there is no {slot} to set: choose one first (--{slot} NAME)")
             near = close_names(path, known) or sorted(known)
             raise UserError(f"no parameter {path!r} in this method: did you mean {', '.join(near)}?")

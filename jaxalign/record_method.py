@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -11,14 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxalign.aligner import align
 from jaxalign.compilation.programs import Program
-from jaxalign.epochs import Epochs, epochs_from_log, over_runs
+from jaxalign.epochs import Epochs, row_numbers
 from jaxalign.inertial import InertialRecord
-from jaxalign.log import Log
-from jaxalign.prefilter import AbstractPrefilter
+from jaxalign.method import AbstractMethod
 from jaxalign.prefilter.base import without_prefilter
-from jaxalign.solution import FilterRecord, Solution, Status
+from jaxalign.solution import FilterRecord, Solution, status_bits
 from jaxalign.vector import Quat, Vec3, where
 
 __all__ = ["AbstractRecordMethod", "Found"]
@@ -46,58 +45,32 @@ class Found(eqx.Module):
     filter: FilterRecord | None = None
 
 
-class AbstractRecordMethod(eqx.Module):
-    """A static-base method that needs the record: its attitude at an epoch comes from the record up to there, or all.
+class AbstractRecordMethod(AbstractMethod):
+    """A method for a standing vehicle that needs the record up to an epoch, or all of it, for the attitude there."""
 
-    Attributes:
-        interval_samples: IMU samples per epoch; None: as the log has it.
-        prefilter: low-pass filter of the specific force; None: no filter.
-    """
-
-    interval_samples: eqx.AbstractVar[int | None]
-    prefilter: eqx.AbstractVar[AbstractPrefilter | None]
     aid: ClassVar[str] = "static"
-    has_covariance: ClassVar[bool] = False
-    """Whether its solutions come with a covariance."""
-    dear_rows: ClassVar[bool] = False
-    """Whether each row goes over all epochs before it."""
 
     @abstractmethod
     def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
         """Attitudes at the epochs ``rows`` (host integers)."""
 
-    def epochs(self, log: Log) -> Epochs:
-        """Filter and preintegrate a log for this method, taking the vehicle as standing."""
-        return epochs_from_log(log, interval_samples=self.interval_samples, static=True, prefilter=self.prefilter)
-
-    def solve(self, epochs: Epochs, every: int = 1) -> Solution:
-        """Align epochs; rows as :func:`jaxalign.align` has them."""
-        return _jitted(without_prefilter(self), epochs, every)
-
-    def solve_runs(self, epochs: Epochs, every: int = 1) -> Solution:
-        """Align many runs, see :func:`jaxalign.epochs.over_runs`."""
-        return over_runs(lambda one: self.solve(one, every), epochs)
-
-    def align(self, log: Log | Epochs, every: int = 1) -> Solution:
-        """See :func:`jaxalign.align`."""
-        return align(self, log, every)
+    def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] | None = None) -> Solution:
+        """Align epochs (see :meth:`AbstractMethod.solve`)."""
+        numbers = row_numbers(len(epochs), rows)
+        return _jitted(without_prefilter(self), epochs, tuple(numbers.tolist()))
 
 
 @Program
-def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solution:
-    count = len(epochs)
-    rows = np.unique([*range(0, count, every), count - 1])
+def _jitted(method: AbstractRecordMethod, epochs: Epochs, numbers: tuple[int, ...]) -> Solution:
+    rows = np.array(numbers)
     whole = InertialRecord.of(epochs)
     found, time = method.find(epochs, whole, rows), whole.time[rows]
-    numbers = jax.tree.leaves((found.q_nb, found.residual, found.covariance, found.filter))
-    finite = jnp.all(jnp.stack([jnp.isfinite(x).reshape(len(rows), -1).all(axis=1) for x in numbers]), axis=0)
+    told = jax.tree.leaves((found.q_nb, found.residual, found.covariance, found.filter))
+    finite = jnp.all(jnp.stack([jnp.isfinite(x).reshape(len(rows), -1).all(axis=1) for x in told]), axis=0)
     defined = found.defined & finite
     observable = whole.observable(epochs.aid_sd)[rows] & defined
-    bits = jnp.where(defined, 0, int(Status.UNDEFINED))
-    bits = bits + jnp.where(observable, 0, int(Status.HEADING_UNOBSERVABLE))
-    bits = bits + jnp.where(finite, 0, int(Status.NON_FINITE))
     aided = epochs.rows.valid[rows]
-    bits = bits + jnp.where(aided, 0, int(Status.AID_MISSING))
+    bits = status_bits(defined=defined, observable=observable, aided=aided, finite=finite)
     one = jnp.ones_like(time)
     identity = jax.tree.map(lambda x: x * one, Quat.identity())
 
@@ -115,7 +88,7 @@ def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int) -> Solutio
         alpha=found.alpha.array,
         beta=found.beta.array,
         covariance=None if found.covariance is None else masked(found.covariance),
-        status=bits.astype(jnp.int32),
+        status=bits,
         aid_sd=epochs.aid_sd * one,
         filter=jax.tree.map(masked, found.filter),
     )

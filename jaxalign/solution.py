@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntFlag
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from jaxalign.errors import UserError
 from jaxalign.host import dcm_from_quat, euler_covariance, euler_from_quat, heading_deg
 from jaxalign.vector import root
 
-__all__ = ["FilterRecord", "Solution", "Status", "check_threshold"]
+__all__ = ["FilterRecord", "Solution", "Status", "check_threshold", "status_bits"]
 
 
 class Status(IntFlag):
@@ -34,6 +35,27 @@ class Status(IntFlag):
     """The filter's innovation covariance was singular at some epoch: from there on it takes no vectors."""
     INDICATIVE = 64
     """The covariance leaves something out that matters here: take it as a hint."""
+
+
+def status_bits(*, defined: Any, observable: Any, aided: Any, finite: Any, unused: Any = False, xp: Any = jnp) -> Any:
+    """``Solution.status`` of rows.
+
+    Args:
+        defined: whether there is an attitude.
+        observable: whether the heading means something.
+        aided: whether the aid has a sample at this epoch.
+        finite: whether all numbers are.
+        unused: whether the aid has a sample, but nothing came of it.
+        xp: jax.numpy, or numpy on the host.
+    """
+    bits = (
+        (~defined, Status.UNDEFINED),
+        (~observable, Status.HEADING_UNOBSERVABLE),
+        (~aided, Status.AID_MISSING),
+        (~finite, Status.NON_FINITE),
+        (unused, Status.UNUSED),
+    )
+    return sum((xp.where(is_set, xp.int32(bit), xp.int32(0)) for is_set, bit in bits), xp.int32(0))
 
 
 def check_threshold(heading_sd_deg: float) -> None:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxalign.aligner import align, epochs_for
+from jaxalign.alignment import align, epochs_for
 from jaxalign.batch.start import misfit, robust_start, views
 from jaxalign.batch.trajectory import UNKNOWN
 from jaxalign.compilation.programs import Program
@@ -20,6 +20,7 @@ from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.inertial_unit import ImuErrors
 from jaxalign.log import Log
+from jaxalign.method import AbstractMethod
 from jaxalign.prefilter.base import without_prefilter
 from jaxalign.preintegrate import Increment
 from jaxalign.rotation import attitude_error
@@ -69,7 +70,7 @@ def _disturbed(epochs: Epochs, imu: ImuErrors, fix_sd: Any, key: PRNGKeyArray) -
 
 @Program
 def ensemble_covariance(
-    method: Any, epochs: Epochs, imu: ImuErrors, found: Solution, every: int, draws: int, key: PRNGKeyArray
+    method: AbstractMethod, epochs: Epochs, imu: ImuErrors, found: Solution, every: int, draws: int, key: PRNGKeyArray
 ) -> Float[Array, "K 3 3"]:
     """Mean square of the attitude errors (rad^2, n) that errors drawn from the sensor model make. Pure.
 
@@ -101,7 +102,7 @@ def ensemble_covariance(
 
 
 def assess(
-    method: Any,
+    method: AbstractMethod,
     log: Log | Epochs,
     imu: ImuErrors,
     every: int = 1,
@@ -118,9 +119,9 @@ def assess(
     deviations from 256 draws are good to 5 %. A fix that stands out from all others is drawn with the error that it
     seems to have.
 
-    A method that knows its covariance is left to it: ``robust_map`` takes ``imu`` as its own, ``fine`` has its own
-    figures. ``Status.INDICATIVE`` marks rows behind a prefilter, which colours the noise, and those of an ensemble with
-    a heading open by more than 20 deg, which is no small angle: an interval of 95 % may hold 65 % there.
+    A method that knows its covariance is left to it: ``robust_map`` and ``fine`` take ``imu`` as their own.
+    ``Status.INDICATIVE`` marks rows behind a prefilter, which colours the noise, and those of an ensemble with a
+    heading open by more than 20 deg, which is no small angle: an interval of 95 % may hold 65 % there.
 
     Args:
         method: see :func:`jaxalign.align`.
@@ -135,12 +136,10 @@ def assess(
     Raises:
         UserError: as :func:`jaxalign.align`; ``imu`` is none, or fewer than one draw.
     """
-    if not isinstance(imu, ImuErrors):
-        raise UserError(f"imu = {imu!r}: must be ImuErrors, for instance imu_errors('tactical')")
+    imu = ImuErrors.checked(imu)
     if isinstance(draws, str) or draws < 1 or draws != int(draws):
         raise UserError(f"draws = {draws}: must be a whole number, at least 1")
-    if isinstance(getattr(method, "imu", None), ImuErrors):
-        method = dataclasses.replace(method, imu=imu)
+    method = AbstractMethod.checked(method).with_imu(imu)
     found = align(method, log, every, aid_sd, done)
     if not method.has_covariance:
         epochs = epochs_for(method, log, found.aid_sd[-1])
@@ -148,7 +147,7 @@ def assess(
         count = -(-int(draws) // _LANES) * _LANES
         covariance = ensemble_covariance(bare, epochs, imu, found, int(every), count, jax.random.key(seed))
         found = dataclasses.replace(found, covariance=covariance)
-    hint = jnp.full_like(found.defined, getattr(method, "prefilter", None) is not None)
+    hint = jnp.full_like(found.defined, method.prefilter is not None)
     if not method.has_covariance:
         assert found.covariance is not None
         hint = hint | (found.defined & ~(found.covariance[..., 2, 2] < _WIDE**2))

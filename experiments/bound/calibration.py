@@ -69,7 +69,7 @@ def calibration(case: str, runs: int, seed: int) -> dict[str, Calibration]:
     out = {}
     with progress(f"calibration, {case}", chunks * len(methods)) as bar:
         for label, method in methods.items():
-            every = getattr(method, "interval_samples", None) or made.aid_every
+            every = method.interval_samples or made.aid_every
             intervals = intervals_of(exact, every)
             parts = []
             for some in keys:

@@ -10,12 +10,9 @@ import jax
 import numpy as np
 
 from experiments.monte_carlo import monte_carlo
-from jaxalign.batch import RobustMap
 from jaxalign.bounds import bound
-from jaxalign.fine import Fine
-from jaxalign.inertial_unit import ImuErrors
+from jaxalign.method import AbstractMethod
 from jaxalign.methods import RECIPES, build
-from jaxalign.parameters import with_parameters
 from jaxalign.simulate import Scenario, scenario, truth
 from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap
 
@@ -71,15 +68,11 @@ def recipes(made: Scenario) -> dict[str, Any]:
     return {name: matched(build(name, made.aid), made) for name, recipe in RECIPES.items() if made.aid in recipe.aids}
 
 
-def matched(method: Any, made: Scenario) -> Any:
+def matched(method: AbstractMethod, made: Scenario) -> AbstractMethod:
     """With the figures of the scenario's inertial unit, where a method has any."""
-    imu = made.imu
-    if isinstance(method, RobustMap):
-        seconds = round(made.imu_rate) if made.aid == "static" else None
-        return dataclasses.replace(method, imu=imu, interval_samples=seconds)
-    if isinstance(method, Fine):
-        names = [field.name for field in dataclasses.fields(ImuErrors)]
-        return with_parameters(method, {f"filter.{name}": float(getattr(imu, name)) for name in names})
+    method = method.with_imu(made.imu)
+    if method.rows_are_costly and method.aid == "static":
+        return dataclasses.replace(method, interval_samples=round(made.imu_rate))
     return method
 
 
@@ -125,6 +118,6 @@ def ratios(name: str, label: str | None, runs: int, seed: int) -> Ratios:
     return Ratios(time, limit, rms, high, count)
 
 
-def _epochs(made: Scenario, method: Any) -> int:
+def _epochs(made: Scenario, method: AbstractMethod) -> int:
     """How many the method makes of the scenario."""
-    return made.epochs * made.aid_every // (getattr(method, "interval_samples", None) or made.aid_every)
+    return made.epochs * made.aid_every // (method.interval_samples or made.aid_every)

@@ -20,7 +20,6 @@ jax.config.update("jax_enable_x64", True)
 
 from experiments.progress import progress  # noqa: E402
 from jaxalign import Log, Solution, align, choose, estimate_aid_sd, read  # noqa: E402
-from jaxalign.batch import RobustMap  # noqa: E402
 from jaxalign.errors import UserError  # noqa: E402
 from jaxalign.inertial_unit import ImuErrors, imu_errors  # noqa: E402
 from jaxalign.methods import RECIPES, build  # noqa: E402
@@ -72,7 +71,7 @@ def made(name: str, log: Log, parameters: dict[str, Any] | None = None, aid_sd: 
 
 def aligned(method: Any, log: Log, seconds: float) -> Solution:
     """Rows at every epoch; of the batch estimator, which starts anew for each, so many seconds apart."""
-    if not isinstance(method, RobustMap):
+    if not method.rows_are_costly:
         return align(method, log)
     return align(method, log, every=max(round(seconds / ((method.interval_samples or log.aid_every) * log.dt)), 1))
 

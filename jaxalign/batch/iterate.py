@@ -234,7 +234,7 @@ def on_host(
     starts: int,
     *,
     lanes: int = LANES,
-    done: Callable[[int], None] = lambda rows: None,
+    done: Callable[[int], None] | None = None,
 ) -> Found:
     """The solutions of some rows, or of some models, of one log; NumPy arrays.
 
@@ -259,7 +259,8 @@ def on_host(
             reads.append(read)
         read = reads[0] if starts == 1 else _chosen(jax.tree.map(lambda *x: jnp.stack(x), *reads))
         groups.append(jax.tree.map(lambda x, n=count: np.asarray(x)[..., :n], Found(read, alpha, beta)))
-        done(count)
+        if done is not None:
+            done(count)
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *groups)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
 import jax
@@ -12,18 +13,17 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from jaxalign.aligner import align
 from jaxalign.batch.fix import PARTS, parts_of
 from jaxalign.batch.iterate import LANES, Found, on_host, traced
 from jaxalign.batch.solver import Model, Problem
-from jaxalign.epochs import Aid, Epoch, Epochs, epochs_from_log, row_numbers
+from jaxalign.epochs import Aid, Epoch, Epochs, row_numbers
 from jaxalign.errors import UserError
 from jaxalign.inertial_unit import ImuErrors
-from jaxalign.log import Log
+from jaxalign.method import AbstractMethod
 from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
 from jaxalign.parameters import tunable
 from jaxalign.precision import require_x64
-from jaxalign.solution import FilterRecord, Solution, Status
+from jaxalign.solution import FilterRecord, Solution, status_bits
 
 __all__ = ["FEWEST_FIXES", "RobustMap"]
 
@@ -34,7 +34,7 @@ _BLIND = 20.0 * _DEG
 _MOST_ITERATIONS = 1000
 
 
-class RobustMap(eqx.Module):
+class RobustMap(AbstractMethod):
     """The most probable attitude by all fixes up to an epoch, with outliers.
 
     Unknown are attitude, first velocity, the biases of the inertial unit (with priors) and its white noise. The noise
@@ -79,7 +79,10 @@ class RobustMap(eqx.Module):
     """
 
     has_covariance: ClassVar[bool] = True
-    dear_rows: ClassVar[bool] = True
+    rows_are_costly: ClassVar[bool] = True
+    finds_noise: ClassVar[bool] = True
+    needs: ClassVar[str] = "three usable fixes"
+    prefilter: ClassVar[None] = None
     imu: ImuErrors = eqx.field(default_factory=ImuErrors)
     outliers: Float[Array, ""] = tunable(0.05, unit="1", bounds=(1e-4, 0.5))
     spread: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))
@@ -112,13 +115,13 @@ class RobustMap(eqx.Module):
             raise UserError(
                 f"calibrate = {self.calibrate!r}: must be none, or some of {', '.join(PARTS)}, each once, joined by +"
             )
-        if "mounting" in self.unknown and self.aid != "body":
+        if "mounting" in self.unknowns and self.aid != "body":
             raise UserError("calibrate: scale and misalignment are those of a body aid: leave mounting out")
-        if self.unknown and self.aid == "static":
+        if self.unknowns and self.aid == "static":
             raise UserError("calibrate: a standing vehicle has no aid to calibrate")
 
     @property
-    def unknown(self) -> dict[str, slice]:
+    def unknowns(self) -> dict[str, slice]:
         """Where in ``Solution.filter.calibration`` the unknowns of the aid are, by name."""
         return parts_of(tuple(self.calibrate.split("+")))
 
@@ -131,17 +134,21 @@ class RobustMap(eqx.Module):
             "lever": [self.lever_sd] * 3,
             "slow": [self.slow_sd] * 3,
         }
-        names = tuple(self.unknown)
+        names = tuple(self.unknowns)
         sd = [x for name in names for x in known[name]]
         fade = [self.slow_time if name == "slow" else jnp.inf for name in names for _ in known[name]]
         sd, fade, limit = _stacked(sd), _stacked(fade), np.float64(self.tolerance)
         return Model(self.imu, self.outliers, self.spread, sd, fade, limit, names, self.noise, self.aid)
 
-    def epochs(self, log: Log) -> Epochs:
-        """Preintegrate a log for this method."""
-        return epochs_from_log(log, interval_samples=self.interval_samples, static=self.aid == "static")
+    def with_imu(self, imu: ImuErrors) -> Self:
+        """With these figures of the inertial unit."""
+        return dataclasses.replace(self, imu=imu)
 
-    def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] = lambda rows: None) -> Solution:
+    def counted(self, solution: Solution) -> np.ndarray:
+        """(K,) rows whose fix is rather none of the outliers, which keep a little weight."""
+        return np.asarray(solution.defined) & (np.asarray(solution.weight) > 0.5)
+
+    def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] | None = None) -> Solution:
         """Align epochs, each row by the fixes up to it.
 
         Args:
@@ -177,10 +184,6 @@ class RobustMap(eqx.Module):
             raise UserError("these are the epochs of one log: solve_runs takes runs on the last axis, solve one log")
         numbers = row_numbers(len(epochs), rows)
         return _runs_of(self, epochs, numbers)
-
-    def align(self, log: Log | Epochs, every: int = 1) -> Solution:
-        """See :func:`jaxalign.align`."""
-        return align(self, log, every)
 
 
 def _number(x: Any) -> Any:
@@ -256,13 +259,7 @@ def _assembled(method: RobustMap, rows: Epoch, numbers: np.ndarray, found: Found
     finite = xp.all(xp.isfinite(read.q_nb), axis=1) & xp.all(xp.isfinite(read.tilt), axis=(1, 2))
     defined = finite & (xp.cumsum(valid)[numbers] >= FEWEST_FIXES)
     observable = defined & (read.tilt[:, 2, 2] < _BLIND**2)
-    bits = (
-        (~defined, Status.UNDEFINED),
-        (~observable, Status.HEADING_UNOBSERVABLE),
-        (~valid[numbers], Status.AID_MISSING),
-        (~finite, Status.NON_FINITE),
-    )
-    status = xp.stack([xp.where(c, int(b), 0) for c, b in bits]).sum(axis=0).astype(xp.int32)
+    bits = status_bits(defined=defined, observable=observable, aided=valid[numbers], finite=finite, xp=xp)
 
     def masked(x: Any) -> Any:
         return xp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
@@ -272,7 +269,7 @@ def _assembled(method: RobustMap, rows: Epoch, numbers: np.ndarray, found: Found
         "accel_bias": masked(read.accel),
         "covariance": masked(read.covariance),
         "log_likelihood": masked(read.log_likelihood),
-        "calibration": masked(read.unknowns) if method.unknown else None,
+        "calibration": masked(read.unknowns) if method.unknowns else None,
     }
     q_nb = xp.where(read.q_nb[:, :1] < 0, -read.q_nb, read.q_nb)
     rows_of = {
@@ -286,7 +283,7 @@ def _assembled(method: RobustMap, rows: Epoch, numbers: np.ndarray, found: Found
         "alpha": alpha,
         "beta": beta,
         "covariance": masked(read.tilt),
-        "status": status,
+        "status": bits,
         "aid_sd": read.aid_sd,
     }
     if xp is np:

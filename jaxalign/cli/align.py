@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +12,11 @@ from jaxalign.errors import UserError
 if TYPE_CHECKING:
     from jaxalign.inertial_unit import ImuErrors
     from jaxalign.log import Log
+    from jaxalign.method import AbstractMethod
 
 __all__ = ["add"]
 
-_ROWS = 50  # of a method whose rows are dear
+_ROWS = 50  # of a method whose rows are costly
 
 
 def add(commands: Any) -> None:
@@ -55,7 +55,7 @@ def add(commands: Any) -> None:
         "--every",
         type=int,
         metavar="N",
-        help="read out the attitude every N epochs (default 1; for robust_map, whose rows are dear, 50 rows at most)",
+        help="read out the attitude every N epochs (default 1; for robust_map, whose rows are costly, 50 rows at most)",
     )
     command.add_argument(
         "--imu",
@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     import jaxalign
-    from jaxalign.aligner import align
+    from jaxalign.alignment import align
     from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
     from jaxalign.epochs import check_every
@@ -159,15 +159,17 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _every(options: argparse.Namespace, method: Any, log: Log) -> int:
+def _every(options: argparse.Namespace, method: AbstractMethod, log: Log) -> int:
     """Epochs between rows."""
-    if options.every is not None or not method.dear_rows:
+    if options.every is not None or not method.rows_are_costly:
         return 1 if options.every is None else options.every
     count = log.epochs * log.aid_every // (method.interval_samples or log.aid_every)
     return max(-(-count // _ROWS), 1)
 
 
-def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tuple[str, Any, tuple[str, ...]]:
+def _method(
+    options: argparse.Namespace, log: Log, imu: ImuErrors | None
+) -> tuple[str, AbstractMethod, tuple[str, ...]]:
     """Name, method, and why it was chosen if it was not named."""
     from jaxalign.auto import choose
     from jaxalign.cli.report import assignments
@@ -199,8 +201,6 @@ def _method(options: argparse.Namespace, log: Log, imu: ImuErrors | None) -> tup
     return name, _with_imu(with_parameters(method, settings), imu), ()
 
 
-def _with_imu(method: Any, imu: ImuErrors | None) -> Any:
-    """With the figures of the inertial unit, if the method has any."""
-    from jaxalign.batch import RobustMap
-
-    return dataclasses.replace(method, imu=imu) if imu is not None and isinstance(method, RobustMap) else method
+def _with_imu(method: AbstractMethod, imu: ImuErrors | None) -> AbstractMethod:
+    """With the figures of the inertial unit, if they are given and the method uses any."""
+    return method if imu is None else method.with_imu(imu)

@@ -29,6 +29,8 @@ def _run(options: argparse.Namespace) -> int:
     import inspect
     import re
 
+    import equinox as eqx
+
     from jaxalign.errors import UserError
     from jaxalign.methods import RECIPES, build
     from jaxalign.prefilter import PREFILTERS
@@ -45,11 +47,9 @@ def _run(options: argparse.Namespace) -> int:
             method = build(recipe.name, aid)
             print(f"{'':{width}s}{aid}: {_settable(method)}")
             if options.name:
-                names = ("observe", "reconstruct", "weight", "estimate", "coarse", "filter")
-                slots = (getattr(method, slot, None) for slot in names)
+                slots = (part for part in vars(method).values() if isinstance(part, eqx.Module))
                 for part in (method, *slots):
-                    if part is not None:
-                        print(f"\n[{type(part).__name__}]\n{inspect.getdoc(type(part))}\n")
+                    print(f"\n[{type(part).__name__}]\n{inspect.getdoc(type(part))}\n")
     if not options.name:
         print("\nprefilters (--prefilter NAME, --set prefilter.FIELD=VALUE), for a standing vehicle:")
         for name, kind in PREFILTERS.items():

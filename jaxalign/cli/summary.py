@@ -8,63 +8,21 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxalign.batch import RobustMap
 from jaxalign.cli.report import table
 from jaxalign.log import Log
+from jaxalign.method import AbstractMethod
 from jaxalign.metrics import attitude_error_deg
 from jaxalign.parameters import parameters
 from jaxalign.prefilter import AbstractPrefilter
-from jaxalign.reconstruct import Measured
 from jaxalign.solution import FilterRecord, Solution, Status
 from jaxalign.units import DEG_H, UG
 
-__all__ = ["misfit", "summary"]
+__all__ = ["summary"]
 
 _ROWS = 12  # of the table
 _FEW = 20  # innovations to judge by
 _SUSPECT, _BROKEN = 3.0, 30.0  # misfits, in standard deviations of the noise
 _AIDS = {"static": "no aid (standing)", "body": "body velocity", "nav": "navigation velocity"}
-
-
-def _slot(method: Any, name: str) -> Any:
-    """An option of the observation slot, or of a whole-record method."""
-    return getattr(getattr(method, "observe", method), name, None)
-
-
-def _used(solution: Solution, method: Any) -> np.ndarray:
-    """Rows whose vector counts; the batch estimator leaves outliers a little weight."""
-    least = 0.5 if isinstance(method, RobustMap) else 0.0
-    return np.asarray(solution.defined) & (np.asarray(solution.weight) > least)
-
-
-def misfit(solution: Solution, method: Any, interval: float) -> float:
-    """RMS of the residual across the vector, per axis, in standard deviations of the noise assumed.
-
-    Along the vector a misfit (accelerometer bias along the vertical) moves no attitude. For a standing vehicle the
-    noise is that of one interval, so sums since the start are differenced first.
-
-    Args:
-        solution: of one log.
-        method: that found it.
-        interval: seconds between epochs.
-
-    Returns:
-        The ratio; NaN where there are fewer than three vectors.
-    """
-    used = _used(solution, method)
-    alpha, residual = np.asarray(solution.alpha)[used], np.asarray(solution.residual)[used]
-    time, sd = np.asarray(solution.time)[used], float(solution.aid_sd[-1])
-    if len(alpha) < 3:
-        return float("nan")
-    direction = alpha / np.linalg.norm(alpha, axis=1, keepdims=True)
-    across = residual - np.sum(residual * direction, axis=1, keepdims=True) * direction
-    if isinstance(method, RobustMap):
-        pass  # its residuals are those of single velocities, also of a standing vehicle
-    elif method.aid != "static":
-        sd *= np.sqrt(2.0)  # two velocities in each vector
-    elif _slot(method, "vectors") == "integrated":
-        across = np.diff(across, axis=0) / np.sqrt(np.diff(time) / interval)[:, None]
-    return float(np.sqrt(np.mean(np.sum(across**2, axis=1)) / 2.0)) / sd
 
 
 def _attitudes(log: Log, solution: Solution, error: np.ndarray | None) -> str:
@@ -93,26 +51,28 @@ def _attitudes(log: Log, solution: Solution, error: np.ndarray | None) -> str:
     return table(head if error is None else [*head, "heading error deg"], rows).replace("nan", " - ")
 
 
-def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[str]:
+def _trust(log: Log, method: AbstractMethod, solution: Solution, interval: float) -> list[str]:
     """How far to trust the heading."""
     out = []
     time, seen = np.asarray(solution.time) + log.t0, np.asarray(solution.observable)
-    batch = isinstance(method, RobustMap)
     noise = "noise of the force" if method.aid == "static" else "noise of the aid"
     if not solution.defined[-1]:
-        why = "two directions (log too short for its averaging?)"
-        out.append(f"NO ATTITUDE to the end: the method never saw {'three usable fixes' if batch else why}")
+        out.append(f"NO ATTITUDE to the end: the method never saw {method.needs}")
     elif seen[-1]:
         first = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else 0
         steps = np.diff(np.asarray(solution.time))
         sparse = " (rows are that far apart)" if steps.size and steps.max() > 1.5 * interval else ""
-        rest = ": its standard deviation is below 20 deg" if batch else f", as far as the {noise} is concerned"
+        rest = (
+            ": its standard deviation is below 20 deg"
+            if method.finds_noise
+            else f", as far as the {noise} is concerned"
+        )
         out.append(f"heading observable from {time[first]:.1f} s on{sparse}{rest}")
-    elif batch:
+    elif method.finds_noise:
         out.append("heading NOT observable: its standard deviation is above 20 deg; pitch and roll only")
     else:
         out.append(f"heading NOT observable: the directions never open beyond the {noise}; pitch and roll only")
-    ratio = misfit(solution, method, interval)
+    ratio = method.misfit(solution, interval)
     if ratio > _BROKEN:
         out.append(
             f"  but the vectors miss by {ratio:.0f} times that noise: the model does not fit (biases of a low-cost "
@@ -123,17 +83,16 @@ def _trust(log: Log, method: Any, solution: Solution, interval: float) -> list[s
             f"  but the vectors miss by {ratio:.0f} times that noise: slow errors rule (sensor biases, drift of the "
             "aid, disturbance): the heading is less certain than the noise alone would make it"
         )
-    used = _used(solution, method)
+    used = method.counted(solution)
     if used.any():
         size = np.linalg.norm(np.asarray(solution.residual)[used], axis=1) / np.sqrt(3)
-        fitted = not isinstance(getattr(method, "reconstruct", Measured()), Measured)
-        note = " (of reconstructed vectors: they hide outliers and biases)" if fitted else ""
+        note = " (of reconstructed vectors: they hide outliers and biases)" if method.fits_vectors else ""
         out.append(f"residual per axis: rms {np.sqrt(np.mean(size**2)):.4f}, largest {size.max():.4f} m/s{note}")
     if solution.covariance is not None and solution.filter is not None and solution.defined[-1]:
-        if not batch:
+        if solution.filter.innovation is not None:
             sd = np.sqrt(np.diagonal(solution.covariance, axis1=1, axis2=2))
-            out += _belief(sd, solution.filter, getattr(method, "prefilter", None) is not None)
-        out += _found(solution.filter, getattr(method, "unknown", {}))
+            out += _belief(sd, solution.filter, method.prefilter is not None)
+        out += _found(solution.filter, method.unknowns)
     if method.aid != "static" and log.missing.any():
         out.append(f"aid missing at {int(log.missing.sum())} of {log.epochs + 1} of its epochs: skipped and bridged")
     singular = (np.asarray(solution.status) & Status.SINGULAR) != 0
@@ -232,7 +191,7 @@ def _numbers(values: np.ndarray) -> str:
 def summary(
     log: Log,
     name: str,
-    method: Any,
+    method: AbstractMethod,
     solution: Solution,
     stated: float | None,
     aligned: float | None = None,
@@ -250,15 +209,15 @@ def summary(
         reasons: why the method was chosen.
     """
     solution = jax.device_get(solution)  # a row of an array on a device is a program to be compiled
-    interval = (_slot(method, "interval_samples") or log.aid_every) * log.dt
+    interval = (method.interval_samples or log.aid_every) * log.dt
     kind, noise = "white noise of the aid", float(solution.aid_sd[-1])
     if method.aid == "static":
         kind = f"noise of the force, integrated over {interval:g} s,"
     source = "estimated from the data" if stated is None else "as stated"
-    if isinstance(method, RobustMap):
+    if method.finds_noise:
         kind = "disturbance of the velocity" if method.aid == "static" else "noise of the aid"
         source = "by the data" if stated is None else f"by the data; stated: {stated:.2g}"
-    prefilter = getattr(method, "prefilter", None)
+    prefilter = method.prefilter
     filtered = None if prefilter is None else _described(prefilter)
     error = attitude_error_deg(solution, log)
     pitch, roll, _ = solution.euler_deg[-1]

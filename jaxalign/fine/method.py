@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+import dataclasses
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -10,11 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxalign.epochs import Epochs
+from jaxalign.epochs import Epochs, strided_rows
 from jaxalign.errors import UserError
 from jaxalign.fine.error_filter import ErrorFilter, FilterRow
 from jaxalign.fine.error_model import PSI
 from jaxalign.inertial import InertialRecord
+from jaxalign.inertial_unit import ImuErrors
+from jaxalign.method import AbstractMethod
 from jaxalign.observe.options import check_interval, optional_count
 from jaxalign.parameters import tunable
 from jaxalign.prefilter import AbstractPrefilter
@@ -51,7 +54,7 @@ class Fine(AbstractRecordMethod):
     """
 
     has_covariance: ClassVar[bool] = True
-    coarse: Any = eqx.field(default_factory=DualVector, metadata={"hides": ("interval_samples",)})
+    coarse: AbstractMethod = eqx.field(default_factory=DualVector, metadata={"hides": ("interval_samples",)})
     filter: ErrorFilter = eqx.field(default_factory=ErrorFilter)
     heading_margin: Float[Array, ""] = tunable(3.0, unit="1", bounds=(0.0, 10.0))
     interval_samples: int | None = optional_count()
@@ -59,11 +62,15 @@ class Fine(AbstractRecordMethod):
 
     def __check_init__(self):
         check_interval(self.interval_samples, "interval_samples")
-        if getattr(self.coarse, "aid", None) != "static":
+        if not isinstance(self.coarse, AbstractMethod) or self.coarse.aid != "static":
             raise UserError("coarse: must be a method for a standing vehicle, such as build('dual_vector')")
-        own = getattr(getattr(self.coarse, "observe", self.coarse), "interval_samples", None)
-        if own is not None or getattr(self.coarse, "prefilter", None) is not None:
+        if self.coarse.interval_samples is not None or self.coarse.prefilter is not None:
             raise UserError("coarse: it takes the epochs of the fine alignment: set interval and prefilter there")
+
+    def with_imu(self, imu: ImuErrors) -> Self:
+        """With these figures of the inertial unit in its filter."""
+        figures = {field.name: getattr(imu, field.name) for field in dataclasses.fields(imu)}
+        return dataclasses.replace(self, filter=dataclasses.replace(self.filter, **figures))
 
     def refine(self, epochs: Epochs, start: Quat, heading_sd: Any = 0.0, every: int = 1) -> FilterRow:
         """The filter over epochs from a known attitude at epoch 0. Pure.
@@ -105,8 +112,10 @@ class Fine(AbstractRecordMethod):
         known = coarse.defined[-1]
         start = (end.q_n0n * Quat.of(coarse.q_nb[-1]) * end.q_b0b.conjugate()).unit()
         heading_sd = jnp.minimum(self.heading_margin * record.heading_sd(epochs.aid_sd), _WORST)
-        every = int(rows[1] - rows[0]) if len(rows) > 1 else 1
-        row = self.refine(epochs, start, heading_sd, every)
+        stride, places = strided_rows(len(epochs), rows)
+        row = self.refine(epochs, start, heading_sd, stride)
+        if places is not None:
+            row = jax.tree.map(lambda x: x[np.array(places)], row)
         before = record.at(np.maximum(rows - 1, 0))
         at = record.at(rows)
         alpha, beta = at.alpha - before.alpha, at.beta - before.beta

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.earth import Site
@@ -72,6 +73,13 @@ class AbstractObserve(eqx.Module):
     steps: ClassVar[bool] = False
     """Whether ``Pair.clean`` is the step of the interval, and the aid's noise that of a step (a standing vehicle)."""
     interval_samples: eqx.AbstractVar[int | None]
+
+    def whitened(self, residual: np.ndarray, time: np.ndarray, sd: float, interval: float) -> np.ndarray:
+        """Residuals in standard deviations of their noise, see :meth:`jaxalign.method.AbstractMethod.whitened`.
+
+        Two velocities are in each vector.
+        """
+        return residual / (np.sqrt(2.0) * sd)
 
     @property
     def coupled(self) -> bool:

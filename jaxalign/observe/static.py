@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.earth import Site
@@ -52,6 +53,12 @@ class Static(AbstractObserve):
         if self.window and self.vectors == "instantaneous":
             raise UserError("observe.window means nothing for instantaneous vectors: leave it at 0, or take velocity_q")
         check_interval(self.interval_samples)
+
+    def whitened(self, residual: np.ndarray, time: np.ndarray, sd: float, interval: float) -> np.ndarray:
+        """The noise is that of one interval: sums since the start are differenced first."""
+        if self.vectors == "integrated":
+            residual = np.diff(residual, axis=0) / np.sqrt(np.diff(time) / interval)[:, None]
+        return residual / sd
 
     def init(self, site: Site, interval: float) -> Any:
         """State before the first epoch (see the base class)."""

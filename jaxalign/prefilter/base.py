@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -12,7 +12,14 @@ from jaxtyping import Array, Float
 __all__ = ["AbstractPrefilter", "Frame", "optional_prefilter", "without_prefilter"]
 
 Frame = Literal["inertial", "body"]
-T = TypeVar("T")
+
+
+class _Filtered(Protocol):
+    @property
+    def prefilter(self) -> AbstractPrefilter | None: ...
+
+
+T = TypeVar("T", bound=_Filtered)
 
 
 class AbstractPrefilter(eqx.Module):
@@ -45,6 +52,6 @@ def optional_prefilter() -> Any:
 
 def without_prefilter(method: T) -> T:
     """A method for epochs that its prefilter has been through: methods that differ in it alone share a program."""
-    if getattr(method, "prefilter", None) is None:
+    if method.prefilter is None:
         return method
     return dataclasses.replace(method, prefilter=None)  # pyright: ignore[reportArgumentType, reportCallIssue]

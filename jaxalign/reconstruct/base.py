@@ -17,6 +17,8 @@ class AbstractReconstruct(eqx.Module):
 
     keeps_moment: ClassVar[bool] = True
     """Whether the pair that comes out still has its ``moment``; else beta stands as the last attitude made it."""
+    fits: ClassVar[bool] = True
+    """Whether the pair that comes out was fitted: its residual then hides outliers and biases."""
 
     def check(self, observe: AbstractObserve) -> None:
         """Refuse an observation that makes no sense here (UserError); called once, when a method is put together."""
@@ -33,6 +35,8 @@ class AbstractReconstruct(eqx.Module):
 
 class Measured(AbstractReconstruct):
     """The pair as measured."""
+
+    fits: ClassVar[bool] = False
 
     def init(self) -> Any:
         """No state."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxalign.aligner import estimate_aid_sd
+from jaxalign.alignment import estimate_aid_sd
 from jaxalign.epochs import Epochs, epochs_from_arrays
 from jaxalign.errors import UserError
+from jaxalign.method import AbstractMethod
 from jaxalign.parameters import parameters
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.simulate import Intervals, Scenario, Truth, intervals_of, measure, measure_epochs, sample_epochs, truth
@@ -52,18 +53,18 @@ class Feed(eqx.Module):
         return repr((self.aid, self.samples, numbers))
 
 
-def feed_of(method: Any, made: Scenario) -> Feed:
+def feed_of(method: AbstractMethod, made: Scenario) -> Feed:
     """What a method wants of a scenario.
 
     Raises:
         UserError: it observes another aid, or its epochs do not fit between those of the scenario.
     """
-    samples = getattr(getattr(method, "observe", method), "interval_samples", None) or made.aid_every
+    samples = method.interval_samples or made.aid_every
     if method.aid not in ("static", made.aid):
         raise UserError(f"{made.name} has a {made.aid!r} aid, the method observes {method.aid!r}")
     if method.aid != "static" and made.aid_every % samples:
         raise UserError(f"interval_samples = {samples} must divide the {made.aid_every} IMU samples between fixes")
-    return Feed(method.aid, samples, getattr(method, "prefilter", None))
+    return Feed(method.aid, samples, method.prefilter)
 
 
 class World(eqx.Module):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -118,9 +119,7 @@ class Space(eqx.Module):
 
 
 def _at(method: Any, path: str) -> Any:
-    for name in path.split("."):
-        method = getattr(method, name)
-    return method
+    return functools.reduce(getattr, path.split("."), method)
 
 
 def space_of(method: Any, paths: Sequence[str]) -> Space:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import EPOCHS, RECIPES, ROWS, epochs_of, log_of, method_of, solver, velocities
 
-from jaxalign import Aligner, Epochs, Quat, Status, Vec3, align
+from jaxalign import Aligner, Epochs, Quat, Status, UserError, Vec3, align
 from jaxalign.metrics import attitude_error_deg
 
 # What is known of single recipes; their docstrings say why.
@@ -149,6 +149,19 @@ def test_sparse_readout(name, aid):
 def test_sparse_readout_with_a_rest(name, aid, every):
     """Which rows there are is the same for all recipes of a kind."""
     sparse_readout(name, aid, every)
+
+
+@_slow((), ("dual_vector",))(FIRST)
+@pytest.mark.parametrize("numbers", [(6, 30, 60), (12, 48)])
+def test_rows_by_number(name, aid, numbers):
+    """The numbers of the epochs to read out, in place of a stride: the rows of that stride."""
+    method, epochs = method_of(name, aid), epochs_of(aid)
+    found, stride = (solver(rows)(method, epochs) for rows in (np.array(numbers), np.gcd.reduce(numbers)))
+    rows = np.searchsorted(stride.time, found.time - 1e-6)
+    np.testing.assert_array_equal(np.round(found.time / epochs.interval), numbers)
+    np.testing.assert_allclose(found.q_nb, np.asarray(stride.q_nb)[rows], atol=max(ROUNDING.get(name, 0.0), 1e-9))
+    with pytest.raises(UserError, match="whole numbers from 0 to 60"):
+        method.solve(epochs, np.array([3, 61]))
 
 
 def sparse_readout(name, aid, every):

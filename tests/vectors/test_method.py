@@ -1,0 +1,68 @@
+"""The protocol: a method of one's own needs no change of the library."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import jaxalign as ja
+from jaxalign.inertial_unit import ImuErrors
+from jaxalign.methods import RECIPES, build
+from jaxalign.simulate import scenario, simulate
+from jaxalign.study import Study, run
+
+
+class Later(ja.AbstractMethod):
+    """Another method, read out at the end alone."""
+
+    inner: ja.AbstractMethod
+    aid: str = eqx.field(static=True, default="body")
+    interval_samples: int | None = None
+    prefilter: None = None
+
+    def solve(self, epochs, rows=1, done=None):
+        return self.inner.solve(epochs, rows, done)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return scenario("dvl-sturn", outliers="fixed", duration=60.0)
+
+
+def test_a_method_of_ones_own(made):
+    log, inner = simulate(made, 1), build("oba", "body")
+    own = Later(inner)
+    found, expected = ja.align(own, log, every=10), ja.align(inner, log, every=10)
+    np.testing.assert_array_equal(found.q_nb, expected.q_nb)
+    np.testing.assert_allclose(own.misfit(found, 1.0), np.sqrt(2) * inner.misfit(found, 1.0))
+    assert own.with_imu(ja.imu_errors("mems")) is own
+    with pytest.raises(ja.UserError, match="has a 'nav' aid, the method observes 'body'"):
+        own.epochs(simulate("gps-zigzag", 1, duration=20.0))
+
+
+@pytest.mark.slow
+def test_in_a_study(made):
+    own, plain = (run(Study(made, {"x": m}, runs=8, every=10))["x"] for m in (Later(build("oba")), build("oba")))
+    np.testing.assert_allclose(own.end, plain.end, atol=1e-9)
+
+
+def test_what_is_missing_is_named():
+    class Nothing(ja.AbstractMethod):
+        aid = "body"
+
+    with pytest.raises(TypeError, match="abstract"):
+        Nothing()
+
+
+@pytest.mark.parametrize("name", list(RECIPES))
+def test_every_recipe_keeps_it(name):
+    """Figures of the unit reach the methods with a model of it, by the same names, and no others."""
+    method = build(name)
+    assert isinstance(method, ja.AbstractMethod)
+    assert method.interval_samples is None
+    assert method.prefilter is None
+    imu = ImuErrors(*(np.float64(x) for x in (3.0, 0.2, 700.0, 90.0)))
+    held = [x for x in (getattr(method.with_imu(imu), part, None) for part in ("imu", "filter")) if x is not None]
+    assert len(held) == (name in ("fine", "robust_map"))
+    for part in held:
+        assert float(part.gyro_bias_deg_h) == 3.0
+        assert float(part.accel_noise_ug_sqrt_hz) == 90.0
