@@ -27,6 +27,7 @@ __all__ = [
     "RECIPES",
     "Recipe",
     "build",
+    "build_for",
     "centred_oba",
     "dual_vector",
     "fine",
@@ -238,6 +239,17 @@ def build(
     if prefilter is not None:
         method = dataclasses.replace(method, prefilter=_filter(prefilter))
     return with_parameters(method, parameters or {})
+
+
+def build_for(
+    aid: str, name: str, parameters: dict[str, Any] | None = None, prefilter: str | AbstractPrefilter | None = None
+) -> Any:
+    """A method by name for data with a kind of aid: one that takes no aid at all leaves it aside.
+
+    Arguments and errors as of :func:`build`.
+    """
+    alone = name in RECIPES and RECIPES[name].aids == ("static",)
+    return build(name, "static" if alone else aid, parameters, prefilter)
 
 
 def _filter(given: Any) -> AbstractPrefilter:

@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jaxalign.bounds import Bound
-    from jaxalign.study import Result
-    from jaxalign.tune import Tuned
 
-__all__ = ["attitude", "bound", "compare", "require", "study", "tuning"]
+__all__ = ["GREY", "attitude", "bound", "compare", "panels", "require"]
 
-_GREY = "0.6"
+GREY = "0.6"
 
 
 def require() -> None:
@@ -41,7 +39,12 @@ def require() -> None:
             os.environ["MPLBACKEND"] = backend
 
 
-def _figure(rows: int, height: float) -> tuple[Figure, Any]:
+def panels(rows: int, height: float) -> tuple[Figure, Any]:
+    """A figure of a height (inches) and its panels, one above the other, that share the axis of time.
+
+    Raises:
+        UserError: matplotlib is missing.
+    """
     require()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -101,7 +104,7 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
     time = numbers["t"] + log.t0
     reference = reference_at(log, numbers["t"])
     error = attitude_error_deg(solution, log)
-    figure, axes = _figure(4 if error is None else 6, 10 if error is None else 13.5)
+    figure, axes = panels(4 if error is None else 6, 10 if error is None else 13.5)
     sd = numbers.get("sd_deg")
     truth = None if reference is None else np.rad2deg(np.array(euler_from_dcm(reference)))
 
@@ -116,7 +119,7 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
             axes[i].yaxis.set_major_formatter(lambda x, _: f"{x % 360:g}")
         axes[i].plot(time, _unbroken(lines[0]), label="estimate")
         if truth is not None:
-            axes[i].plot(time, _unbroken(lines[1]), "--", color=_GREY, label="reference")
+            axes[i].plot(time, _unbroken(lines[1]), "--", color=GREY, label="reference")
         if name == "heading" and sd is not None:
             band = np.stack([lines[0] - sd[:, 2], lines[0] + sd[:, 2]])
             axes[i].fill_between(time, *band, alpha=0.2, linewidth=0, label="its own sd")
@@ -131,15 +134,15 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
         axes[4].semilogy(time, np.maximum(np.abs(error[:, 2]), 1e-6), color="C3", label="|error|")
         axes[4].set_ylabel("heading error (deg)")
         if sd is not None:
-            axes[4].semilogy(time, sd[:, 2], "--", color=_GREY, label="its own sd")
-            axes[3].plot(time, np.hypot(sd[:, 0], sd[:, 1]) / np.sqrt(2), "--", color=_GREY, label="its own sd")
+            axes[4].semilogy(time, sd[:, 2], "--", color=GREY, label="its own sd")
+            axes[3].plot(time, np.hypot(sd[:, 0], sd[:, 1]) / np.sqrt(2), "--", color=GREY, label="its own sd")
         last = 5
     used = (numbers["weight"] > 0) & ((numbers["status"] & Status.UNDEFINED) == 0)
     size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
     axes[last].semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
     axes[last].axhline(
         float(numbers["aid_sd"][-1]),
-        color=_GREY,
+        color=GREY,
         linestyle=":",
         label=f"white noise\n{float(numbers['aid_sd'][-1]):.2g} m/s",
     )
@@ -166,7 +169,7 @@ def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure
     """
     if log.C_nb is None:
         raise UserError(f"{log.name} has no reference attitude to compare with")
-    figure, axes = _figure(3, 8)
+    figure, axes = panels(3, 8)
     names = ("level error east", "level error north", "heading error")
     for name, solution in solutions.items():
         error = attitude_error_deg(solution, log)
@@ -190,7 +193,7 @@ def bound(found: Bound, title: str = "") -> Figure:
         found: of :func:`jaxalign.bounds.bound`.
         title: of the figure.
     """
-    figure, axes = _figure(3, 8)
+    figure, axes = panels(3, 8)
     for i, (axis, name) in enumerate(zip(axes, ("pitch", "roll", "yaw"), strict=True)):
         axis.plot(found.time[1:], found.euler_deg[1:, i], color="k")
         axis.set_yscale("log")
@@ -198,62 +201,4 @@ def bound(found: Bound, title: str = "") -> Figure:
         axis.grid(True, which="both", color="0.9", linewidth=0.6)
     axes[-1].set_xlabel("time (s)")
     axes[0].set_title(f"{title}: Cramér-Rao bound".removeprefix(": "), fontsize="medium")
-    return figure
-
-
-def study(result: Result, limit: Bound | None = None) -> Figure:
-    """Root mean square errors of a study over time, with their standard errors, and the share of good headings.
-
-    Args:
-        result: of :func:`jaxalign.study.run`.
-        limit: the bound of its scenario, drawn beside them.
-    """
-    figure, axes = _figure(4, 11)
-    for label, method in result.methods.items():
-        time = method.time_s
-        for i, axis in enumerate(axes[:3]):
-            rmse, error = method.rmse.value[:, i], method.rmse.error[:, i]
-            (line,) = axis.plot(time, rmse, label=label)
-            axis.fill_between(time, rmse - 2 * error, rmse + 2 * error, color=line.get_color(), alpha=0.25, linewidth=0)
-        axes[3].plot(time, 100.0 * method.within.value[:, 2], label=label)
-    if limit is not None:
-        seen = np.asarray(limit.time) >= min(method.time_s[0] for method in result.methods.values())
-        for i, axis in enumerate(axes[:3]):
-            axis.plot(limit.time[seen], limit.euler_deg[seen, i], "k--", linewidth=1, label="Cramér-Rao bound")
-    for axis, name in zip(axes, ("pitch", "roll", "yaw"), strict=False):
-        axis.set_yscale("log")
-        axis.set_ylabel(f"{name} RMSE (deg)")
-    axes[3].set_ylabel(f"runs with yaw within\n{result.study.tolerance_deg:g} deg (%)")
-    axes[3].set_ylim(-3, 103)
-    axes[3].set_xlabel("time (s)")
-    for axis in axes:
-        axis.grid(True, which="both", color="0.9", linewidth=0.6)
-    axes[0].legend(loc="upper right", fontsize="small", ncols=2)
-    axes[0].set_title(f"{result.title}; bands: two standard errors", fontsize="medium")
-    return figure
-
-
-def tuning(tuned: Tuned) -> Figure:
-    """The search of :func:`jaxalign.tune.run`: loss and numbers over the steps.
-
-    Args:
-        tuned: what was found; parts of a method that are no single number are not drawn.
-    """
-    history = tuned.history
-    figure, axes = _figure(1 + len(history.values), 2.5 + 2.2 * (1 + len(history.values)))
-    best = history.steps[int(np.argmin(history.held))]
-    axes[0].plot(history.loss, label="the runs of the step")
-    axes[0].plot(history.steps, history.held, "o-", markersize=4, label=f"{tuned.tune.held_out} runs held out")
-    axes[0].set_ylabel(f"loss ({getattr(tuned.tune.loss, 'unit', 'as given')})")
-    for axis, (path, values) in zip(axes[1:], history.values.items(), strict=True):
-        axis.plot(values, color=_GREY)
-        axis.plot(min(best, len(values)), tuned.values[path], "C1o", label=f"kept: {tuned.values[path]:.4g}")
-        axis.set_ylabel(path)
-        if min(values) > 0 and max(values) > 10 * min(values):
-            axis.set_yscale("log")
-    for axis in axes:
-        axis.grid(True, which="both", color="0.9", linewidth=0.6)
-        axis.legend(loc="upper right", fontsize="small")
-    axes[-1].set_xlabel("step")
-    axes[0].set_title(f"{tuned.tune.recipe or 'method'} on {tuned.tune.scenario.name}", fontsize="medium")
     return figure

@@ -22,7 +22,7 @@ from experiments.progress import progress  # noqa: E402
 from jaxalign import Log, Solution, align, choose, estimate_aid_sd, read  # noqa: E402
 from jaxalign.errors import UserError  # noqa: E402
 from jaxalign.inertial_unit import ImuErrors, imu_errors  # noqa: E402
-from jaxalign.methods import RECIPES, build  # noqa: E402
+from jaxalign.methods import RECIPES, build, build_for  # noqa: E402
 from jaxalign.metrics import attitude_error_deg  # noqa: E402
 
 HERE = Path(__file__).parent
@@ -66,7 +66,7 @@ def made(name: str, log: Log, parameters: dict[str, Any] | None = None, aid_sd: 
     """A method by name; "auto": what is chosen for the log."""
     if name == "auto":
         return choose(log, aid_sd=aid_sd).method
-    return build(name, "static" if "static" in RECIPES[name].aids[:1] else log.aid, parameters)
+    return build_for(log.aid, name, parameters)
 
 
 def aligned(method: Any, log: Log, seconds: float) -> Solution:

@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
         "--imu",
         metavar="GRADE",
         help="of the inertial unit: navigation, tactical or mems, or a TOML file of its figures (gyro_bias_deg_h, "
-        "gyro_walk_deg_sqrt_h, accel_bias_ug, accel_noise_ug_sqrt_hz); auto and robust_map use it, and with it any "
+        "gyro_walk_deg_sqrt_h, accel_bias_ug, accel_noise_ug_sqrt_hz); auto, robust_map and fine use it, and any "
         "other method states standard deviations (default of auto: by the data)",
     )
     command.add_argument(
@@ -174,7 +174,7 @@ def _method(
     from jaxalign.auto import choose
     from jaxalign.cli.report import assignments
     from jaxalign.method_file import read_method
-    from jaxalign.methods import RECIPES, build
+    from jaxalign.methods import build_for
     from jaxalign.parameters import with_parameters
 
     settings = assignments(options.set)
@@ -185,10 +185,7 @@ def _method(
             return choice.name, choice.method, choice.reasons
         if name == "auto":
             raise UserError("--prefilter: auto takes none: name a method for a standing vehicle, --method gravity_q")
-        # A method for a standing vehicle ignores the aid; one that takes any aid takes the log's.
-        kinds = RECIPES[name].aids if name in RECIPES else ()
-        aid = "static" if kinds == ("static",) else log.aid
-        return name, _with_imu(build(name, aid, settings, options.prefilter), imu), ()
+        return name, _with_imu(build_for(log.aid, name, settings, options.prefilter), imu), ()
     if options.method is not None or options.prefilter is not None:
         flag = "--method" if options.method is not None else "--prefilter"
         raise UserError(f"{flag} and --method-file: give one of them, the file says all of the method")

@@ -152,7 +152,9 @@ def _run(options: argparse.Namespace) -> int:
         return 130
     if result is None:  # not the first process
         return 0
-    written = result.write(options.out, options.plot) if options.out is not None else []
+    from jaxalign.study.report import write
+
+    written = write(result, options.out, options.plot) if options.out is not None else []
     _print(result, table)
     for path in written:
         print(f"wrote {Path(path)}")
@@ -173,14 +175,15 @@ def _of_files(paths: Sequence[str]) -> dict[str, Named]:
 
 
 def _print(result: Any, table: Any) -> None:
-    head, rows = result.rows()
+    from jaxalign.study.report import rows
+
     print(f"{result.title} (± Monte Carlo standard error)")
-    print(table(head, rows))
+    print(table(*rows(result)))
 
 
 def _methods(text: str, aid: str, prefilter: str | None, settings: Mapping[str, str]) -> dict[str, Any]:
     """Label -> method, from ``name,label=name,...`` and settings ``path`` or ``label:path``."""
-    from jaxalign.methods import RECIPES, build
+    from jaxalign.methods import build_for
     from jaxalign.parameters import parameters, with_parameters
 
     out: dict[str, Any] = {}
@@ -191,8 +194,7 @@ def _methods(text: str, aid: str, prefilter: str | None, settings: Mapping[str, 
             raise UserError(f"--methods {text!r}: write it as name,name,... or label=name,...")
         if label in out:
             raise UserError(f"--methods: {label} is named twice; give variants labels: {label}2={name}")
-        kinds = RECIPES[name].aids if name in RECIPES else ()
-        out[label] = build(name, "static" if kinds == ("static",) else aid, None, prefilter)
+        out[label] = build_for(aid, name, None, prefilter)
     for key, value in settings.items():
         label, colon, path = key.rpartition(":")
         if colon and label not in out:

@@ -133,7 +133,9 @@ def _run(options: argparse.Namespace) -> int:
         tuned.write(options.output)
         written.append(options.output)
     if plots is not None:
-        figure = plots.tuning(tuned)
+        from jaxalign.tune.picture import picture
+
+        figure = picture(tuned)
         with replacing(options.plot) as stream:
             figure.savefig(stream, format=options.plot.rpartition(".")[2].lower())
         written.append(options.plot)
@@ -149,7 +151,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _method(options: argparse.Namespace, aid: str, settings: dict[str, str]) -> tuple[str, Any]:
     from jaxalign.method_file import read_method
-    from jaxalign.methods import RECIPES, build
+    from jaxalign.methods import build_for
     from jaxalign.parameters import with_parameters
 
     if (options.method is None) == (options.method_file is None):
@@ -159,9 +161,7 @@ def _method(options: argparse.Namespace, aid: str, settings: dict[str, str]) -> 
             raise UserError("--prefilter goes with --method: the method of a file has its own or none")
         name, method, _ = read_method(options.method_file)
         return name, with_parameters(method, settings)
-    kinds = RECIPES[options.method].aids if options.method in RECIPES else ()
-    kind = "static" if kinds == ("static",) else aid
-    return options.method, build(options.method, kind, settings, options.prefilter)
+    return options.method, build_for(aid, options.method, settings, options.prefilter)
 
 
 def _loss(options: argparse.Namespace) -> Any:

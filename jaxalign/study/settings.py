@@ -15,7 +15,8 @@ import jax
 import numpy as np
 
 from jaxalign.errors import UserError
-from jaxalign.methods import build
+from jaxalign.method import AbstractMethod
+from jaxalign.methods import build_for
 from jaxalign.precision import require_x64
 from jaxalign.simulate import Scenario, scenario
 from jaxalign.simulate.random import DRAW
@@ -151,14 +152,11 @@ def _methods(given: Any, made: Scenario) -> dict[str, Any]:
         names = list(given)
         if twice := [name for name in names if names.count(name) > 1]:
             raise UserError(f"methods: {twice[0]} is named twice; give a mapping of labels to methods")
-        from jaxalign.methods import RECIPES
-
-        kinds = {name: RECIPES[name].aids if name in RECIPES else () for name in names}
-        given = {name: build(name, "static" if kinds[name] == ("static",) else made.aid) for name in names}
+        given = {name: build_for(made.aid, name) for name in names}
     if not given:
         raise UserError("methods: name at least one")
     for label, method in given.items():
-        if not hasattr(method, "solve"):
+        if not isinstance(method, AbstractMethod):
             raise UserError(f"methods: {label} = {method!r} is no method: build one with jaxalign.methods.build")
         require_x64(method)
     return dict(given)

@@ -16,6 +16,7 @@ from jaxalign.rotation import euler_from_quat, quat_from_dcm
 from jaxalign.simulate import intervals_of, measure, measure_epochs, noiseless, scenario, truth
 from jaxalign.study import PERCENTILES, Study, run
 from jaxalign.study.feed import run_keys
+from jaxalign.study.report import write
 from jaxalign.study.settings import described
 from jaxalign.study.statistics import MethodStatistics
 
@@ -231,7 +232,7 @@ def test_settings_are_json_and_whole(study):
 def test_files(result, tmp_path):
     from PIL import Image
 
-    paths = result.write(tmp_path, plot=True)
+    paths = write(result, tmp_path, plot=True)
     assert [p.name for p in paths] == ["results.npz", "results.csv", "results.md", "results.png"]
     with np.load(paths[0], allow_pickle=False) as file:
         np.testing.assert_array_equal(file["rmse_deg"][1], result["roba"].rmse.value)
