@@ -84,6 +84,11 @@ def agreement() -> dict[str, float]:
     return {"numba": angle(ours, out[-1]), "NumPy": angle(ours, plain)}
 
 
+def repeats(runs: int) -> int:
+    """How often to measure, the smallest counts: a few milliseconds are soon disturbed."""
+    return 20 if runs < 100 else 3 if runs < 5000 else 1
+
+
 def ours(runs: int, every: int, fidelity: Any) -> tuple[float, float, float]:
     """Seconds to compile, then wall and CPU seconds of a study (its truth is at hand, as that of the loops is)."""
     from jaxalign.study import Study, run
@@ -94,7 +99,7 @@ def ours(runs: int, every: int, fidelity: Any) -> tuple[float, float, float]:
         return run(Study(made, ["oba"], max(runs, 2), every=every, fidelity=fidelity))
 
     compiled, _ = measured(study)
-    best = min((measured(study) for _ in range(3)), key=lambda x: x[0])
+    best = min((measured(study) for _ in range(repeats(runs))), key=lambda x: x[0])
     return compiled - best[0], *best
 
 
@@ -106,9 +111,7 @@ def numba(runs: int, every: int, plain: bool = False) -> tuple[float, float, flo
     arguments = (a["dtheta"], a["dvel"], a["velocity"], a["biases"], a["sds"])
     rest = (a["dt"], a["samples"], every, a["lat"], a["h"])
     compiled, _ = measured(lambda: loop_numba.study(*arguments, 1, plain, *rest))
-    best = min(
-        measured(lambda: loop_numba.study(*arguments, runs, plain, *rest)) for _ in range(3 if runs < 5000 else 1)
-    )
+    best = min(measured(lambda: loop_numba.study(*arguments, runs, plain, *rest)) for _ in range(repeats(runs)))
     return compiled, *best
 
 
@@ -172,7 +175,8 @@ def main() -> None:
         "closed Coriolis term, transport rate). On the same noise the attitudes after 300 s differ from ours by "
         + ", ".join(f"{angle:.0e} rad ({name})" for name, angle in apart.items())
         + ".",
-        "Ours and numba use all cores, the NumPy loop one. Smallest of three; compile time is apart. Ours of one",
+        "Ours and numba use all cores, the NumPy loop one. Smallest of three calls (one run: of twenty; 10000 runs: one",
+        "call); compile time is apart. Ours of one",
         "run is a study of two, the least there is, with its statistics. The numba loop",
         "draws its normals by a ziggurat written for it (`ziggurat.py`), several times as fast as numba's own.",
         "Ours with the flag of XLA that the command line sets (`jaxalign.compilation`).",
