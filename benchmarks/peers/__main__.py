@@ -175,8 +175,8 @@ def main() -> None:
         "closed Coriolis term, transport rate). On the same noise the attitudes after 300 s differ from ours by "
         + ", ".join(f"{angle:.0e} rad ({name})" for name, angle in apart.items())
         + ".",
-        "Ours and numba use all cores, the NumPy loop one. Smallest of three calls (one run: of twenty; 10000 runs: one",
-        "call); compile time is apart. Ours of one",
+        "Ours and numba use all cores, the NumPy loop one. Smallest of three calls (one run: of twenty; 10000 runs:",
+        "one call); compile time is apart. Ours of one",
         "run is a study of two, the least there is, with its statistics. The numba loop",
         "draws its normals by a ziggurat written for it (`ziggurat.py`), several times as fast as numba's own.",
         "Ours with the flag of XLA that the command line sets (`jaxalign.compilation`).",
