@@ -44,7 +44,7 @@ def measure(name: str) -> list[dict[str, Any]]:
     import jax.numpy as jnp
 
     from jaxalign.methods import build
-    from jaxalign.parameters import tunables
+    from jaxalign.parametrization import tunables
     from jaxalign.study.feed import feed_of, run_keys, world_of
     from jaxalign.tune import Tune, prepared
     from jaxalign.tune.objective import Mode, loss_and_slope

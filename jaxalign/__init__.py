@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from jaxalign.lazy import lazily
 
 if TYPE_CHECKING:
-    from jaxalign import compilation, earth, io, methods, metrics, prefilter, rotation, simulate, study
+    from jaxalign import compilation, earth, io, methods, metrics, prefilter, rotation, simulate, study, tune
     from jaxalign.aligner import Aligner, AlignState
     from jaxalign.alignment import align, estimate_aid_sd
     from jaxalign.auto import Choice, choose
@@ -48,11 +48,12 @@ if TYPE_CHECKING:
     from jaxalign.inertial_unit import ImuErrors, imu_errors
     from jaxalign.io import read
     from jaxalign.log import Log
+    from jaxalign.mechanization import NavState, navigate
     from jaxalign.method import AbstractMethod
-    from jaxalign.navigate import NavState, navigate
+    from jaxalign.methods import build
     from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
-    from jaxalign.parameters import parameters, tunable, with_parameters
-    from jaxalign.preintegrate import Increment, preintegrate
+    from jaxalign.parametrization import parameters, tunable, with_parameters
+    from jaxalign.preintegration import Increment, preintegrate
     from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Measured, Rls
     from jaxalign.record_method import AbstractRecordMethod
     from jaxalign.solution import FilterRecord, Solution, Status
@@ -115,6 +116,7 @@ __all__ = [
     "align",
     "assess",
     "bound",
+    "build",
     "choose",
     "compilation",
     "davenport",
@@ -135,6 +137,7 @@ __all__ = [
     "simulate",
     "study",
     "tunable",
+    "tune",
     "with_parameters",
 ]
 
@@ -155,11 +158,12 @@ _HOMES = {
     "inertial_unit": "ImuErrors imu_errors",
     "io": "read",
     "log": "Log",
+    "mechanization": "NavState navigate",
     "method": "AbstractMethod",
-    "navigate": "NavState navigate",
+    "methods": "build",
     "observe": "AbstractObserve BodyVelocity Context NavVelocity Pair Static",
-    "parameters": "parameters tunable with_parameters",
-    "preintegrate": "Increment preintegrate",
+    "parametrization": "parameters tunable with_parameters",
+    "preintegration": "Increment preintegrate",
     "reconstruct": "AbstractReconstruct ApparentVelocityFilter Measured Rls",
     "record_method": "AbstractRecordMethod",
     "solution": "FilterRecord Solution Status",

@@ -17,7 +17,7 @@ from jaxalign.estimate import QMethod
 from jaxalign.log import Log
 from jaxalign.method import AbstractMethod
 from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
-from jaxalign.parameters import as_float64
+from jaxalign.parametrization import as_float64
 from jaxalign.precision import require_x64
 from jaxalign.prefilter.base import without_prefilter
 from jaxalign.solution import Solution, Status

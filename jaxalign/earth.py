@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxalign.parameters import as_float64
+from jaxalign.parametrization import as_float64
 from jaxalign.vector import Vec3
 from jaxalign.wgs84 import EARTH_RATE, ECCENTRICITY2, SEMI_MAJOR_AXIS, STANDARD_GRAVITY, gravity
 

@@ -16,11 +16,11 @@ from jaxtyping import Array, Bool, Float
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
 from jaxalign.log import Log
-from jaxalign.parameters import as_float64
+from jaxalign.parametrization import as_float64
 from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter, filtered_force
-from jaxalign.preintegrate import Increment, Scheme, preintegrate
-from jaxalign.preintegrate_host import joined, preintegrated
+from jaxalign.preintegration import Increment, Scheme, preintegrate
+from jaxalign.preintegration_host import joined, preintegrated
 from jaxalign.vector import Quat, Vec3
 
 __all__ = [

@@ -11,7 +11,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError, close_names
-from jaxalign.parameters import as_float64, tunable, with_parameters
+from jaxalign.parametrization import as_float64, tunable, with_parameters
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 
 __all__ = ["GRADES", "ImuErrors", "imu_errors", "imu_figures"]

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from types import ModuleType
 from typing import Any
 
 __all__ = ["lazily"]
@@ -15,8 +14,8 @@ __all__ = ["lazily"]
 def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """``__getattr__`` and ``__dir__`` of a package.
 
-    Its modules are attributes too. A name of ``homes`` stays what it is here where a module of the same name is
-    imported: the import system would otherwise put that module in its place.
+    Its modules are attributes too. No name of ``homes`` may be that of a module beside it: the import system would put
+    the module in its place.
 
     Args:
         package: its ``__name__``; ``__all__`` is set already.
@@ -24,13 +23,7 @@ def lazily(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any]
     """
     home = {name: f"{package}.{module}" for module, names in homes.items() for name in names.split()}
 
-    class Package(ModuleType):
-        def __setattr__(self, name: str, value: Any) -> None:
-            if not (name in home and isinstance(value, ModuleType)):
-                super().__setattr__(name, value)
-
     here = sys.modules[package]
-    here.__class__ = Package
 
     def get(name: str) -> Any:
         if name in home:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from jaxalign.errors import UserError
 from jaxalign.io.files import existing_file, first_line, read_text, replacing
 from jaxalign.methods import RECIPES, build
-from jaxalign.parameters import parameters
+from jaxalign.parametrization import parameters
 from jaxalign.prefilter import PREFILTERS
 
 __all__ = ["Named", "method_entries", "read_method", "write_method"]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from jaxalign import estimate, observe, reconstruct, weight
 from jaxalign.aligner import Aligner
 from jaxalign.errors import UserError, close_names
-from jaxalign.parameters import with_parameters
+from jaxalign.parametrization import with_parameters
 
 if TYPE_CHECKING:
     from jaxalign.batch import RobustMap

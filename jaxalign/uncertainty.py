@@ -22,7 +22,7 @@ from jaxalign.inertial_unit import ImuErrors
 from jaxalign.log import Log
 from jaxalign.method import AbstractMethod
 from jaxalign.prefilter.base import without_prefilter
-from jaxalign.preintegrate import Increment
+from jaxalign.preintegration import Increment
 from jaxalign.rotation import attitude_error
 from jaxalign.solution import Solution, Status
 from jaxalign.vector import Vec3

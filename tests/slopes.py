@@ -10,7 +10,7 @@ from problems import EPOCHS, epochs_of, log_of, sparse, velocities
 
 from jaxalign import Quat, Vec3, parameters
 from jaxalign.methods import build
-from jaxalign.parameters import tunables, with_parameters
+from jaxalign.parametrization import tunables, with_parameters
 from jaxalign.rotation import quat_from_dcm
 
 WEIGHTS = (0.3, -0.5, 1.0)  # of the three angles at the end

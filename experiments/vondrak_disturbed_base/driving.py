@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.monte_carlo import run_keys
 from jaxalign import Epochs, NavState, Quat, Site, Vec3, epochs_from_arrays, navigate
-from jaxalign.navigate import displacement
+from jaxalign.mechanization import displacement
 from jaxalign.rotation import quat_from_dcm
 from jaxalign.simulate import (
     Constant,

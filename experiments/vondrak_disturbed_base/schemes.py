@@ -14,7 +14,7 @@ from jaxalign import DualVector, Epochs, Fine, Quat, Vec3
 from jaxalign.earth import EARTH_RATE, STANDARD_GRAVITY
 from jaxalign.inertial import InertialRecord
 from jaxalign.methods import build
-from jaxalign.parameters import with_parameters
+from jaxalign.parametrization import with_parameters
 from jaxalign.prefilter import AbstractPrefilter, Fir, Vondrak, Wavelet
 from jaxalign.record_method import AbstractRecordMethod, Found
 from jaxalign.simulate import Scenario

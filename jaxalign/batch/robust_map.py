@@ -21,7 +21,7 @@ from jaxalign.errors import UserError
 from jaxalign.inertial_unit import ImuErrors
 from jaxalign.method import AbstractMethod
 from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.precision import require_x64
 from jaxalign.solution import FilterRecord, Solution, status_bits
 

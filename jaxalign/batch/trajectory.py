@@ -28,7 +28,7 @@ from jaxalign.batch.rows import over_rows
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
 from jaxalign.observe.frames import Place, gravity_impulse, turn
-from jaxalign.preintegrate import Increment
+from jaxalign.preintegration import Increment
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["ACCEL", "GYRO", "STATES", "TILT", "UNKNOWN", "VELOCITY", "Intervals", "Trajectory", "by_tilt", "mechanized"]

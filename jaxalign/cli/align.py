@@ -175,7 +175,7 @@ def _method(
     from jaxalign.cli.report import assignments
     from jaxalign.method_file import read_method
     from jaxalign.methods import build_for
-    from jaxalign.parameters import with_parameters
+    from jaxalign.parametrization import with_parameters
 
     settings = assignments(options.set)
     if options.method_file is None:

@@ -20,7 +20,7 @@ def add(commands: Any) -> None:
 
 
 def _settable(part: Any) -> str:
-    from jaxalign.parameters import parameters
+    from jaxalign.parametrization import parameters
 
     return ", ".join(f"{path}={value}".lower() for path, value in parameters(part).items())
 

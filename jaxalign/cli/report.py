@@ -88,7 +88,7 @@ def add_scenario_argument(command: argparse.ArgumentParser, **how: Any) -> None:
 def split_settings(given: Mapping[str, str], scenario: str) -> tuple[dict[str, str], dict[str, str]]:
     """Settings of the scenario, and of methods: what has a dot or a colon, or is the name of a parameter alone."""
     from jaxalign.methods import RECIPES
-    from jaxalign.parameters import parameters
+    from jaxalign.parametrization import parameters
     from jaxalign.simulate import scenario_options, scenarios
 
     known = scenario_options(scenario) if scenario in scenarios() else {}

@@ -184,7 +184,7 @@ def _print(result: Any, table: Any) -> None:
 def _methods(text: str, aid: str, prefilter: str | None, settings: Mapping[str, str]) -> dict[str, Any]:
     """Label -> method, from ``name,label=name,...`` and settings ``path`` or ``label:path``."""
     from jaxalign.methods import build_for
-    from jaxalign.parameters import parameters, with_parameters
+    from jaxalign.parametrization import parameters, with_parameters
 
     out: dict[str, Any] = {}
     for part in text.split(","):

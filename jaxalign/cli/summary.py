@@ -12,7 +12,7 @@ from jaxalign.cli.report import table
 from jaxalign.log import Log
 from jaxalign.method import AbstractMethod
 from jaxalign.metrics import attitude_error_deg
-from jaxalign.parameters import parameters
+from jaxalign.parametrization import parameters
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.solution import FilterRecord, Solution, Status
 from jaxalign.units import DEG_H, UG

@@ -152,7 +152,7 @@ def _run(options: argparse.Namespace) -> int:
 def _method(options: argparse.Namespace, aid: str, settings: dict[str, str]) -> tuple[str, Any]:
     from jaxalign.method_file import read_method
     from jaxalign.methods import build_for
-    from jaxalign.parameters import with_parameters
+    from jaxalign.parametrization import with_parameters
 
     if (options.method is None) == (options.method_file is None):
         raise UserError("name a method to tune: --method NAME (see `jaxalign methods`), or --method-file FILE")

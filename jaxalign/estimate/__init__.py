@@ -8,7 +8,7 @@ from jaxalign.lazy import lazily
 
 if TYPE_CHECKING:
     from jaxalign.estimate.base import AbstractEstimate, Readout
-    from jaxalign.estimate.davenport import davenport
+    from jaxalign.estimate.eigenproblem import davenport
     from jaxalign.estimate.profile import CentredSums
     from jaxalign.estimate.qmethod import CentredWahba, QMethod
     from jaxalign.estimate.quaternion_kf import QuaternionFilter
@@ -34,7 +34,7 @@ __all__ = [
 
 _HOMES = {
     "base": "AbstractEstimate Readout",
-    "davenport": "davenport",
+    "eigenproblem": "davenport",
     "profile": "CentredSums",
     "qmethod": "CentredWahba QMethod",
     "quaternion_kf": "QuaternionFilter",

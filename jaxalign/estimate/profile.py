@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxalign.estimate.base import Readout
-from jaxalign.estimate.davenport import davenport
+from jaxalign.estimate.eigenproblem import davenport
 from jaxalign.observe import Context, Pair
 from jaxalign.vector import Mat3, Quat, Vec3, where
 

@@ -17,7 +17,7 @@ from jaxalign.estimate.triad import triad
 from jaxalign.linear import solve_covariance
 from jaxalign.observe import Context, Pair
 from jaxalign.observe.options import check_choice
-from jaxalign.parameters import as_float64, tunable
+from jaxalign.parametrization import as_float64, tunable
 from jaxalign.solution import Status
 from jaxalign.vector import Quat, Vec3, where
 

@@ -13,7 +13,7 @@ from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direct
 from jaxalign.estimate.profile import Profile, inverse_lengths
 from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.observe.options import check_choice
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.vector import where
 
 __all__ = ["OptimalRequest", "Request"]

@@ -16,7 +16,7 @@ from jaxalign.estimate.base import AbstractEstimate, Readout
 from jaxalign.estimate.profile import CentredSums
 from jaxalign.estimate.qmethod import check_whole
 from jaxalign.observe import AbstractObserve, Context, Pair
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.vector import Quat, Vec3, where
 
 __all__ = ["Held", "RevisingWahba", "reweighted"]

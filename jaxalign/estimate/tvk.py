@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.estimate.base import AbstractEstimate, Readout
-from jaxalign.estimate.davenport import dominant_eigenvector
 from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direction_information
+from jaxalign.estimate.eigenproblem import dominant_eigenvector
 from jaxalign.linear import solve_covariance
 from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.observe.options import check_choice
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.solution import Status
 from jaxalign.vector import Vec3, where
 

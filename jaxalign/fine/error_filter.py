@@ -12,10 +12,10 @@ from jaxalign.earth import Site, earth_rate, normal_gravity, radii
 from jaxalign.epochs import Epoch
 from jaxalign.fine.error_model import ACCEL, GYRO, POSITION, PSI, STATES, VELOCITY, transition
 from jaxalign.linear import solve_positive
-from jaxalign.navigate import NavState, advance, displacement
+from jaxalign.mechanization import NavState, advance, displacement
 from jaxalign.observe.options import check_choice
-from jaxalign.parameters import tunable
-from jaxalign.preintegrate import Increment
+from jaxalign.parametrization import tunable
+from jaxalign.preintegration import Increment
 from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 from jaxalign.vector import Quat, Vec3, mean_rotated
 

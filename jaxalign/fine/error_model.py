@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxalign.earth import earth_rate, transport_rate
-from jaxalign.navigate import NavState
+from jaxalign.mechanization import NavState
 from jaxalign.vector import Vec3
 
 __all__ = ["ACCEL", "GYRO", "POSITION", "PSI", "STATES", "VELOCITY", "transition"]

@@ -19,7 +19,7 @@ from jaxalign.inertial import InertialRecord
 from jaxalign.inertial_unit import ImuErrors
 from jaxalign.method import AbstractMethod
 from jaxalign.observe.options import check_interval, optional_count
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.prefilter.base import optional_prefilter
 from jaxalign.record_method import AbstractRecordMethod, Found

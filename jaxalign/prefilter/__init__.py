@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxalign.prefilter.named import PREFILTERS
     from jaxalign.prefilter.objectives import changes_db, misfit, printed, reconstructed
     from jaxalign.prefilter.spectrum import multitaper
-    from jaxalign.prefilter.vondrak import Vondrak, cutoff_from_theta, gain, theta_from_cutoff, vondrak
+    from jaxalign.prefilter.vondrak_filter import Vondrak, cutoff_from_theta, gain, theta_from_cutoff, vondrak
     from jaxalign.prefilter.wavelet import Wavelet
 
 __all__ = [
@@ -47,7 +47,7 @@ _HOMES = {
     "named": "PREFILTERS",
     "objectives": "changes_db misfit printed reconstructed",
     "spectrum": "multitaper",
-    "vondrak": "Vondrak cutoff_from_theta gain theta_from_cutoff vondrak",
+    "vondrak_filter": "Vondrak cutoff_from_theta gain theta_from_cutoff vondrak",
     "wavelet": "Wavelet",
 }
 __getattr__, __dir__ = lazily(__name__, _HOMES)

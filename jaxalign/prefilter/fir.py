@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.prefilter.base import AbstractPrefilter, Frame
 
 __all__ = ["Fir"]

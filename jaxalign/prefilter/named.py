@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from jaxalign.prefilter.fir import Fir
-from jaxalign.prefilter.vondrak import Vondrak
+from jaxalign.prefilter.vondrak_filter import Vondrak
 from jaxalign.prefilter.wavelet import Wavelet
 
 __all__ = ["PREFILTERS"]

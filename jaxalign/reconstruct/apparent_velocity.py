@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxalign.earth import EARTH_RATE
 from jaxalign.errors import UserError
 from jaxalign.observe import AbstractObserve, Context, Pair
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.reconstruct.base import AbstractReconstruct
 from jaxalign.vector import Vec3, where
 

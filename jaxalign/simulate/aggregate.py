@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.epochs import Epoch, Epochs
 from jaxalign.errors import UserError
-from jaxalign.preintegrate import Increment, integrated, paired, preintegrate
+from jaxalign.preintegration import Increment, integrated, paired, preintegrate
 from jaxalign.simulate.imu import Truth
 from jaxalign.simulate.measurement import Scenario, aid_velocity, source_keys
 from jaxalign.simulate.random import blocks, each, fold, normals

@@ -14,7 +14,7 @@ from jaxalign.alignment import estimate_aid_sd
 from jaxalign.epochs import Epochs, epochs_from_arrays
 from jaxalign.errors import UserError
 from jaxalign.method import AbstractMethod
-from jaxalign.parameters import parameters
+from jaxalign.parametrization import parameters
 from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.simulate import Intervals, Scenario, Truth, intervals_of, measure, measure_epochs, sample_epochs, truth
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError, close_names
-from jaxalign.parameters import as_float64, tunables
+from jaxalign.parametrization import as_float64, tunables
 
 __all__ = ["Bounded", "Space", "space_of"]
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxalign.observe import Context, Pair
 from jaxalign.observe.options import check_choice
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.vector import where
 from jaxalign.weight.base import AbstractWeight
 

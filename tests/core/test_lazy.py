@@ -42,8 +42,8 @@ def test_names_are_declared_alike(package):
 
 ORDERS = [
     "import jaxalign",
-    "import jaxalign.parameters, jaxalign.navigate, jaxalign.preintegrate, jaxalign.bounds, jaxalign.methods",
-    "from jaxalign import parameters, navigate, preintegrate, bound",
+    "import jaxalign.parametrization, jaxalign.mechanization, jaxalign.preintegration, jaxalign.methods",
+    "from jaxalign import parameters, navigate, preintegrate, bound, build",
     "from jaxalign.methods import build; from jaxalign.cli import align, tune",
 ]
 
@@ -51,9 +51,9 @@ ORDERS = [
 @pytest.mark.parametrize("first", [*ORDERS[:1], *(pytest.param(x, marks=pytest.mark.slow) for x in ORDERS[1:])])
 def test_a_function_keeps_its_name_whatever_is_imported_first(first):
     text = f"""{first}
-import jaxalign, jaxalign.navigate, jaxalign.parameters, jaxalign.preintegrate
-import jaxalign.estimate.davenport, jaxalign.prefilter.vondrak
-for name in ("parameters", "navigate", "preintegrate", "bound", "align", "read"):
+import jaxalign, jaxalign.mechanization, jaxalign.parametrization, jaxalign.preintegration
+import jaxalign.estimate.eigenproblem, jaxalign.prefilter.vondrak_filter
+for name in ("parameters", "navigate", "preintegrate", "bound", "build", "align", "read"):
     assert callable(getattr(jaxalign, name)), name
 for name in ("study", "simulate", "methods", "bounds", "aligner", "tune", "plots", "compilation"):
     assert getattr(jaxalign, name).__name__ == "jaxalign." + name
@@ -67,6 +67,13 @@ else:
     raise AssertionError
 """
     subprocess.run([sys.executable, "-c", text], check=True)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_function_hides_a_module(package):
+    module = import_module(package)
+    beside = {path.stem for path in Path(module.__file__).parent.iterdir()}
+    assert not beside & {name for names in module._HOMES.values() for name in names.split()}
 
 
 @pytest.mark.parametrize(

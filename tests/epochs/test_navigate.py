@@ -8,8 +8,8 @@ import pytest
 
 from jaxalign import NavState, Quat, Vec3, epochs_from_log, navigate
 from jaxalign.earth import Site
-from jaxalign.navigate import advance, displacement
-from jaxalign.preintegrate import Increment
+from jaxalign.mechanization import advance, displacement
+from jaxalign.preintegration import Increment
 from jaxalign.rotation import attitude_error, quat_from_dcm
 from jaxalign.simulate import log_of, noiseless, scenario, truth
 

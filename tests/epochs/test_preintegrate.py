@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from jaxalign.preintegrate import Increment, preintegrate
+from jaxalign.preintegration import Increment, preintegrate
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
 SCHEMES = ["pairs", "pairs_series", "lookback", "interval", "interval_plain"]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from jaxalign.errors import UserError
 from jaxalign.methods import RECIPES, build
-from jaxalign.parameters import parameters, tunable, with_parameters
+from jaxalign.parametrization import parameters, tunable, with_parameters
 
 
 class Robust(eqx.Module):

@@ -13,7 +13,7 @@ from jaxalign import UserError, with_parameters
 from jaxalign.cli.main import main
 from jaxalign.method_file import read_method
 from jaxalign.methods import build
-from jaxalign.parameters import parameters
+from jaxalign.parametrization import parameters
 from jaxalign.simulate import scenario
 from jaxalign.study import Study
 from jaxalign.study import run as run_study

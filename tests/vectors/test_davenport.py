@@ -9,7 +9,7 @@ import pytest
 from numeric import EPS, assert_derivatives
 from scipy.spatial.transform import Rotation
 
-from jaxalign.estimate.davenport import davenport, dominant_eigenvector
+from jaxalign.estimate.eigenproblem import davenport, dominant_eigenvector
 from jaxalign.vector import Mat3, Vec3
 
 UPPER = np.triu_indices(4)

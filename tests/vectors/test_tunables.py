@@ -8,7 +8,7 @@ from problems import RECIPES, ROWS
 from slopes import Slopes
 
 from jaxalign.methods import build
-from jaxalign.parameters import tunables
+from jaxalign.parametrization import tunables
 from jaxalign.tune import space_of
 
 # What each recipe is set to, so that all its numbers have an effect and none is zero; then what may be tuned.

@@ -1,4 +1,4 @@
-"""The increments of a recorded log, in NumPy: the same formulas as :mod:`jaxalign.preintegrate`, without a compilation.
+"""The increments of a recorded log, in NumPy: formulas of :mod:`jaxalign.preintegration`, without a compilation.
 
 Compiling that takes a second for each length of log; here a minute of samples takes a millisecond.
 """
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxalign.preintegrate import Increment, pair, single
+from jaxalign.preintegration import Increment, pair, single
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["joined", "preintegrated"]

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from jaxalign.earth import Site, earth_rate, normal_gravity, radii, transport_rate
 from jaxalign.epochs import Epoch, Epochs
 from jaxalign.precision import require_x64
-from jaxalign.preintegrate import Increment
+from jaxalign.preintegration import Increment
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
 __all__ = ["NavState", "advance", "displacement", "navigate"]

@@ -23,7 +23,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError
-from jaxalign.parameters import tunable
+from jaxalign.parametrization import tunable
 from jaxalign.precision import require_x64
 from jaxalign.prefilter.banded import smooth
 from jaxalign.prefilter.base import AbstractPrefilter, Frame
