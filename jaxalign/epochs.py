@@ -149,7 +149,8 @@ def strided_rows(count: int, rows: Any) -> tuple[int, tuple[int, ...] | None]:
         return int(rows), None
     numbers, last = row_numbers(count, rows), count - 1
     stride = int(np.gcd.reduce(numbers[numbers < last])) or max(last, 1)
-    return stride, tuple(np.searchsorted(row_numbers(count, stride), numbers).tolist())
+    strided = row_numbers(count, stride)
+    return stride, None if np.array_equal(strided, numbers) else tuple(np.searchsorted(strided, numbers).tolist())
 
 
 @partial(jax.jit, static_argnames=("every", "scheme"))

@@ -38,6 +38,8 @@ class AbstractMethod(eqx.Module):
     """Whether each row goes over all epochs before it."""
     finds_noise: ClassVar[bool] = False
     """Whether ``Solution.aid_sd`` is the noise that it found, not the noise that it was told."""
+    judges_by_covariance: ClassVar[bool] = False
+    """Whether its heading is observable where its standard deviation is small, not where the directions have opened."""
     needs: ClassVar[str] = "two directions (log too short for its averaging?)"
     """What it takes to find an attitude, for people."""
 
@@ -79,8 +81,8 @@ class AbstractMethod(eqx.Module):
 
         Args:
             epochs: of one log.
-            rows: epochs between two rows of the result (they come at epoch 0, at each so-manieth epoch and at the last
-                one), or the numbers of the epochs to read out, ascending (host integers).
+            rows: epochs between two rows of the result, as ``every`` of :func:`jaxalign.align`, or the numbers of the
+                epochs to read out, ascending (host integers).
             done: told how many rows are finished, now and then, by a method whose rows are costly.
 
         Raises:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxalign.compilation.programs import Program
-from jaxalign.epochs import Epochs, row_numbers
+from jaxalign.epochs import Epochs, row_numbers, strided_rows
 from jaxalign.inertial import InertialRecord
 from jaxalign.method import AbstractMethod
 from jaxalign.prefilter.base import without_prefilter
@@ -56,13 +56,13 @@ class AbstractRecordMethod(AbstractMethod):
 
     def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] | None = None) -> Solution:
         """Align epochs (see :meth:`AbstractMethod.solve`)."""
-        numbers = row_numbers(len(epochs), rows)
-        return _jitted(without_prefilter(self), epochs, tuple(numbers.tolist()))
+        return _jitted(without_prefilter(self), epochs, *strided_rows(len(epochs), rows))
 
 
 @Program
-def _jitted(method: AbstractRecordMethod, epochs: Epochs, numbers: tuple[int, ...]) -> Solution:
-    rows = np.array(numbers)
+def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int, places: tuple[int, ...] | None) -> Solution:
+    rows = row_numbers(len(epochs), every)
+    rows = rows if places is None else rows[np.array(places)]
     whole = InertialRecord.of(epochs)
     found, time = method.find(epochs, whole, rows), whole.time[rows]
     told = jax.tree.leaves((found.q_nb, found.residual, found.covariance, found.filter))

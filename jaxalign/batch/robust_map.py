@@ -81,6 +81,7 @@ class RobustMap(AbstractMethod):
     has_covariance: ClassVar[bool] = True
     rows_are_costly: ClassVar[bool] = True
     finds_noise: ClassVar[bool] = True
+    judges_by_covariance: ClassVar[bool] = True
     needs: ClassVar[str] = "three usable fixes"
     prefilter: ClassVar[None] = None
     imu: ImuErrors = eqx.field(default_factory=ImuErrors)

@@ -64,11 +64,11 @@ def _trust(log: Log, method: AbstractMethod, solution: Solution, interval: float
         sparse = " (rows are that far apart)" if steps.size and steps.max() > 1.5 * interval else ""
         rest = (
             ": its standard deviation is below 20 deg"
-            if method.finds_noise
+            if method.judges_by_covariance
             else f", as far as the {noise} is concerned"
         )
         out.append(f"heading observable from {time[first]:.1f} s on{sparse}{rest}")
-    elif method.finds_noise:
+    elif method.judges_by_covariance:
         out.append("heading NOT observable: its standard deviation is above 20 deg; pitch and roll only")
     else:
         out.append(f"heading NOT observable: the directions never open beyond the {noise}; pitch and roll only")

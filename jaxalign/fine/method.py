@@ -68,7 +68,12 @@ class Fine(AbstractRecordMethod):
             raise UserError("coarse: it takes the epochs of the fine alignment: set interval and prefilter there")
 
     def with_imu(self, imu: ImuErrors) -> Self:
-        """With these figures of the inertial unit in its filter."""
+        """With these figures of the inertial unit in its filter.
+
+        The standard deviation of the initial heading stays. A gyroscope bias turns the coarse heading by the bias over
+        the horizontal Earth rate (5 deg for 1 deg/h at 35 deg of latitude), which the filter does not know of: for
+        biases of 1 deg/h or more set ``filter.initial_heading_sd_deg`` too, or take ``robust_map``.
+        """
         figures = {field.name: getattr(imu, field.name) for field in dataclasses.fields(imu)}
         return dataclasses.replace(self, filter=dataclasses.replace(self.filter, **figures))
 

@@ -118,6 +118,7 @@ def test_what_does_not_load_is_made_anew(store, arguments, stored):
     (key,) = store
     store[key] = stored
     same(Program(turned)(v, angle), first)
+    assert store[key] != stored
 
 
 def test_errors_that_jax_looks_for_are_found(store, arguments):

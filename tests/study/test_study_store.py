@@ -10,6 +10,7 @@ from studies import RUNS, assert_identical, result_of_small, small
 
 from jaxalign import UserError, with_parameters
 from jaxalign.study import Interrupted, Study, engine, run
+from jaxalign.study.worker import Worker
 
 
 @pytest.fixture(scope="module")
@@ -146,14 +147,14 @@ def test_a_full_disk(study, result, tmp_path, monkeypatch):
 
 def test_interrupted(study, result, tmp_path, monkeypatch):
     """Ctrl-C in the third block: the finished blocks are on disk, and their statistics come with the error."""
-    work = engine._Worker.__call__
+    work = Worker.__call__
 
     def interrupted(worker, block):
         if block == 2:
             raise KeyboardInterrupt
         return work(worker, block)
 
-    monkeypatch.setattr(engine._Worker, "__call__", interrupted)
+    monkeypatch.setattr(Worker, "__call__", interrupted)
     with pytest.raises(Interrupted, match="interrupted after 64 of 100 runs, on disk") as found:
         run(study, out=tmp_path)
     assert found.value.result.runs == 64

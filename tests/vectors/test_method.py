@@ -11,8 +11,8 @@ from jaxalign.simulate import scenario, simulate
 from jaxalign.study import Study, run
 
 
-class Later(ja.AbstractMethod):
-    """Another method, read out at the end alone."""
+class Delegating(ja.AbstractMethod):
+    """It leaves the work to another method, as a method from elsewhere would do its own."""
 
     inner: ja.AbstractMethod
     aid: str = eqx.field(static=True, default="body")
@@ -30,7 +30,7 @@ def made():
 
 def test_a_method_of_ones_own(made):
     log, inner = simulate(made, 1), build("oba", "body")
-    own = Later(inner)
+    own = Delegating(inner)
     found, expected = ja.align(own, log, every=10), ja.align(inner, log, every=10)
     np.testing.assert_array_equal(found.q_nb, expected.q_nb)
     np.testing.assert_allclose(own.misfit(found, 1.0), np.sqrt(2) * inner.misfit(found, 1.0))
@@ -41,7 +41,7 @@ def test_a_method_of_ones_own(made):
 
 @pytest.mark.slow
 def test_in_a_study(made):
-    own, plain = (run(Study(made, {"x": m}, runs=8, every=10))["x"] for m in (Later(build("oba")), build("oba")))
+    own, plain = (run(Study(made, {"x": m}, runs=8, every=10))["x"] for m in (Delegating(build("oba")), build("oba")))
     np.testing.assert_allclose(own.end, plain.end, atol=1e-9)
 
 
