@@ -30,7 +30,7 @@ $(STAMP): pyproject.toml
 run: $(STAMP)
 	rm -rf out/dvl-sturn
 	$(BIN)/jaxalign study dvl-sturn --set outliers=fixed --methods oba,roba,moba,rkf_oba,centred_oba,revising_oba,robust_map \
-		--runs 1000 --every 20 --out out/dvl-sturn --plot
+		--runs 1000 --every 20 --output out/dvl-sturn --plot
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m "not slow and not exact" --optimise none $(ARGS)

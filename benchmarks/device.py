@@ -107,7 +107,7 @@ def agreement(sizes: Sizes, device: Any, clock: Clock) -> Iterator[str]:
     yield from ("## The same as on the CPU", "", "| what | largest difference | compile s |", "|---|---|---|")
     with jax.default_device(cpu):
         made = scenario(SCENARIO, outliers="fixed")
-        intervals, keys = intervals_of(truth(made), made.aid_every), jax.random.split(jax.random.key(0), 16)
+        intervals, keys = intervals_of(truth(made), made.epoch_samples), jax.random.split(jax.random.key(0), 16)
     draw = jax.jit(jax.vmap(measure_epochs, (None, None, 0)))
     arguments = (intervals, made, keys)
     one, two = draw(*placed(arguments, cpu)), draw(*placed(arguments, device))
@@ -173,7 +173,7 @@ def batch(sizes: Sizes, device: Any, clock: Clock) -> Iterator[str]:
         "|---|---|---|---|---|",
     )
     made = scenario(SCENARIO, outliers="fixed")
-    method, intervals = RobustMap(imu=made.imu), intervals_of(truth(made), made.aid_every)
+    method, intervals = RobustMap(imu=made.imu), intervals_of(truth(made), made.epoch_samples)
     solve = jax.jit(jax.vmap(lambda e: method.solve(e, made.epochs).q_nb))
     draw = jax.jit(jax.vmap(lambda key: measure_epochs(intervals, made, key)))
     compile_s, each = 30.0, 0.0
@@ -202,7 +202,7 @@ def measured(sizes: Sizes, device: Any, clock: Clock, page: Page) -> None:
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "device.md")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "device.md")
     parser.add_argument("--quick", action="store_true", help="a small form, on any device; nothing is written")
     parser.add_argument("--seconds", type=float, default=LIMIT_S, help=f"for all of it (default: {LIMIT_S:g})")
     options = parser.parse_args()
@@ -212,7 +212,7 @@ def main() -> None:
     quick = options.quick or device.platform == "cpu"
     if device.platform == "cpu":
         print("no GPU here: the quick form on the CPU; nothing is written")
-    page = Page(None if quick else options.out)
+    page = Page(None if quick else options.output)
 
     def end() -> None:  # also inside a compilation, which nothing else interrupts
         page.add("", f"Ended after {clock.limit:.0f} s: the rest is missing.")

@@ -49,7 +49,7 @@ def compiled(function: Any, *arguments: Any) -> tuple[Any, float, float]:
 
 
 def cholesky(x: np.ndarray) -> np.ndarray:
-    """The same by scipy: normal matrix and its banded Cholesky factor."""
+    """Smooth by scipy: normal matrix and its banded Cholesky factor."""
     n, third = len(x), np.array([-1.0, 3.0, -3.0, 1.0])
     band = np.zeros((4, n))
     for j in range(4):
@@ -63,7 +63,7 @@ def cholesky(x: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "prefilter.md")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "prefilter.md")
     options = parser.parse_args()
     x, small = record(SAMPLES), record(SAMPLES) * 1e-5
     lines = [
@@ -111,9 +111,9 @@ def main() -> None:
         program, _, memory = compiled(jax.vmap(smooth), some)
         low, _ = best_ms(lambda program=program, some=some: program(some), 5)
         lines.append(f"| {records} | {samples} | {low:.1f} | {1e6 * low / some.size:.0f} | {memory:.1f} |")
-    options.out.write_text("\n".join([*lines, ""]))
+    options.output.write_text("\n".join([*lines, ""]))
     print("\n".join(lines))
-    print(f"wrote {options.out}")
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def measure(options: dict[str, Any]) -> dict[str, float]:
 
 
 def child(options: dict[str, Any]) -> subprocess.Popen[str]:
-    """The same in a process of its own."""
+    """Measure one case in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "benchmarks.scaling", "--one", json.dumps(options)],
         stdout=subprocess.PIPE,
@@ -111,8 +111,12 @@ def processes(runs: int) -> list[str]:
 def sections(most: int) -> list[Callable[[], list[str]]]:
     """What is measured, in this order."""
     sizes = [n for n in (1000, 10_000, 30_000, 100_000) if n <= most]
-    rates = [(f"{r:g}", {"runs": 5000, "changes": {"imu_rate": r, "aid_every": int(r)}}) for r in (100.0, 200.0, 1e3)]
-    aids = [(f"{200 / n:g}", {"runs": 2000, "changes": {"aid_every": n}, "every": 2000 // n}) for n in (200, 40, 20)]
+    rates = [
+        (f"{r:g}", {"runs": 5000, "changes": {"imu_rate": r, "epoch_samples": int(r)}}) for r in (100.0, 200.0, 1e3)
+    ]
+    aids = [
+        (f"{200 / n:g}", {"runs": 2000, "changes": {"epoch_samples": n}, "every": 2000 // n}) for n in (200, 40, 20)
+    ]
     durations = [(f"{s:g}", {"runs": 5000, "options": {"duration": s}}) for s in (100.0, 300.0, 1200.0)]
     return [
         partial(table, "Runs", "runs", [(str(n), {"runs": n}) for n in sizes]),
@@ -129,7 +133,7 @@ def sections(most: int) -> list[Callable[[], list[str]]]:
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "scaling.md")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "scaling.md")
     parser.add_argument("--most", type=int, default=100_000, help="most runs (default: 100000)")
     parser.add_argument("--one", metavar="JSON", help="measure one study, in this process")
     options = parser.parse_args()
@@ -162,8 +166,8 @@ def main() -> None:
     written = [*head]
     for section in sections(options.most):
         written += section()
-        options.out.write_text("\n".join(written))  # table by table: what was measured stays
-    print(f"wrote {options.out}")
+        options.output.write_text("\n".join(written))  # table by table: what was measured stays
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":

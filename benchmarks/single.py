@@ -15,22 +15,23 @@ jax.config.update("jax_enable_x64", True)
 
 from benchmarks.machine import best_ms, machine  # noqa: E402
 from jaxalign import align, epochs_from_log  # noqa: E402
+from jaxalign.aids import BodyVelocity, NavVelocity, Standing  # noqa: E402
 from jaxalign.methods import RECIPES, build  # noqa: E402
 from jaxalign.simulate import scenario, simulate  # noqa: E402
 
-SCENARIOS = {"body": "dvl-sturn", "nav": "gps-zigzag", "static": "sway"}
+SCENARIOS = {BodyVelocity: "dvl-sturn", NavVelocity: "gps-zigzag", Standing: "sway"}
 
 
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.md")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results.md")
     options = parser.parse_args()
     logs = {
-        aid: simulate(scenario(name, **({"duration": 300.0} if aid == "static" else {})), 1)
+        aid: simulate(scenario(name, **({"duration": 300.0} if aid is Standing else {})), 1)
         for aid, name in SCENARIOS.items()
     }
-    logs["static"] = logs["static"].with_epochs(100)
+    logs[Standing] = logs[Standing].with_epochs(100)
     lines = [
         "# One log",
         "",
@@ -42,12 +43,12 @@ def main() -> None:
         "|---|---|---|---|---|---|---|---|",
     ]
     for name, recipe in RECIPES.items():
-        for aid in recipe.aids:
-            log, method, cells = logs[aid], build(name, aid), []
-            epochs_from_log(log, static=aid == "static")  # compiled once for all methods: its own row below
+        for aid in () if recipe.published else recipe.aids:
+            log, method, cells = logs[aid], build(name, aid()), []
+            epochs_from_log(log, aids=aid())  # compiled once for all methods: its own row below
             for every in (1, 10):
                 jax.clear_caches()
-                epochs = jax.block_until_ready(epochs_from_log(log, static=aid == "static"))
+                epochs = jax.block_until_ready(epochs_from_log(log, aids=aid()))
                 start = time.perf_counter()
                 jax.block_until_ready(method.solve(epochs, every))
                 compiled = time.perf_counter() - start
@@ -56,10 +57,10 @@ def main() -> None:
                 )
                 cells += [f"{compiled:.2f}", f"{low:.2f} ({median:.2f})"]
             shape = f"{log.duration:g} s, {1 / log.dt:g} Hz"
-            lines.append(f"| {name} | {aid} | {shape} | {log.epochs} | {' | '.join(cells)} |")
+            lines.append(f"| {name} | {aid.kind} | {shape} | {log.epochs} | {' | '.join(cells)} |")
             print(lines[-1])
     jax.clear_caches()
-    log = logs["body"]
+    log = logs[BodyVelocity]
     start = time.perf_counter()
     jax.block_until_ready(epochs_from_log(log))
     compiled = time.perf_counter() - start
@@ -78,9 +79,9 @@ def main() -> None:
         f"{sum(x.nbytes for x in jax.tree.leaves(solution)) / 1024:.0f} kB of results.",
         "",
     ]
-    options.out.write_text("\n".join(lines))
+    options.output.write_text("\n".join(lines))
     print("\n".join(lines[-3:]))
-    print(f"wrote {options.out}")
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":

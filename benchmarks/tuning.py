@@ -23,8 +23,8 @@ METHODS = {
     "moba": ("dvl-sturn", {"weight.gate": "smooth"}),
     "rkf_oba": ("dvl-sturn", {}),
     "request": ("gps-zigzag", {}),
-    "optimal_request": ("gps-zigzag", {"estimate.noise": "constant", "estimate.process": 1e-4}),
-    "vo_tvk": ("gps-zigzag", {"estimate.noise": "constant"}),
+    "optimal_request": ("gps-zigzag", {"estimate.measurement_noise": "constant", "estimate.process_variance": 1e-4}),
+    "vo_tvk": ("gps-zigzag", {"estimate.measurement_noise": "constant"}),
 }
 HEAD = "| method | numbers | forward ms per run | mode | times forward | kB per run | compile s |"
 
@@ -45,7 +45,7 @@ def measure(name: str) -> list[dict[str, Any]]:
 
     from jaxalign.methods import build
     from jaxalign.parametrization import tunables
-    from jaxalign.study.feed import feed_of, run_keys, world_of
+    from jaxalign.study.epochs_spec import epochs_spec, run_keys, run_model
     from jaxalign.tune import Tune, prepared
     from jaxalign.tune.objective import Mode, loss_and_slope
 
@@ -60,11 +60,11 @@ def measure(name: str) -> list[dict[str, Any]]:
     for paths, mode in asked:
         tune = Tune(scenario, method, paths, runs=RUNS, held_out=2)
         ready = prepared(tune)
-        feed = feed_of(method, tune.scenario)
-        world = world_of(tune.scenario, feed, jax.random.key(0), "increments")
+        spec = epochs_spec(method, tune.scenario)
+        model = run_model(tune.scenario, spec, jax.random.key(0), "increments")
         keys = run_keys(jax.random.key(0), jnp.arange(RUNS))
         free = tune.space.origin
-        drawing = jax.jit(lambda keys, world=world: world.epochs(keys)).lower(keys).compile()
+        drawing = jax.jit(lambda keys, model=model: model.epochs(keys)).lower(keys).compile()
         forward = jax.jit(lambda free, batch, of=ready.objective: of(free, batch)).lower(free, ready.batch).compile()
         start = time.perf_counter()
 
@@ -92,7 +92,7 @@ def measure(name: str) -> list[dict[str, Any]]:
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "tuning.md")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "tuning.md")
     parser.add_argument("--one", metavar="METHOD", choices=METHODS, help="measure one method, in this process")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
@@ -119,8 +119,8 @@ def main() -> None:
             cells = [row["method"], str(row["numbers"]), f"{row['study']:.3f}", row["mode"], f"{row['ratio']:.2f}"]
             lines.append("| " + " | ".join([*cells, f"{row['memory']:.1f}", f"{row['compile']:.1f}"]) + " |")
             print(lines[-1], flush=True)
-        options.out.write_text("\n".join([*lines, ""]))
-    print(f"wrote {options.out}")
+        options.output.write_text("\n".join([*lines, ""]))
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":

@@ -86,7 +86,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="the middle one counts (default: 3)")
     parser.add_argument("--long", action="store_true", help="also two hours at 200 Hz with an aid of 1 Hz")
     parser.add_argument("--study", action="store_true", help="also the study of `make run`")
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".md"))
+    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".md"))
     options = parser.parse_args()
     against = None if options.against is None else options.against.resolve()
     with tempfile.TemporaryDirectory() as place:
@@ -129,8 +129,8 @@ def main() -> None:
             "| command | | CPU s | ratio | wall s | peak MB |",
             "|---|---|---|---|---|---|",
         ]
-    options.out.write_text("\n".join([*head, *lines]) + "\n")
-    print(f"wrote {options.out}")
+    options.output.write_text("\n".join([*head, *lines]) + "\n")
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":

@@ -62,13 +62,13 @@ def run(
     parser.add_argument("--runs", type=_whole(2), help=f"Monte Carlo runs (default: {runs}; quick: {QUICK_RUNS})")
     parser.add_argument("--seed", type=_whole(0), default=0, help="of all the runs (default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help="a few runs, to see that it works; not into its folder")
-    parser.add_argument("--out", type=Path, help=f"folder to write into (default: {here}; quick: out/{name})")
+    parser.add_argument("--output", type=Path, help=f"folder to write into (default: {here}; quick: out/{name})")
     options = parser.parse_args(arguments)
-    out = options.out or (Path("out") / name if options.quick else here)
+    out = options.output or (Path("out") / name if options.quick else here)
     if options.quick and out.resolve() == here.resolve():
-        parser.error(f"argument --out: {out} holds the results of the full run; give another folder for --quick")
+        parser.error(f"argument --output: {out} holds the results of the full run; give another folder for --quick")
     if out.exists() and not out.is_dir():
-        parser.error(f"argument --out: {out} is not a folder")
+        parser.error(f"argument --output: {out} is not a folder")
     if arguments is None:  # the process is there for it alone
         guard()
         compilation.configure()

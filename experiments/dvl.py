@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -11,16 +11,16 @@ import numpy as np
 
 from experiments.figures import finish, panels
 from experiments.monte_carlo import Errors, monte_carlo, run_keys
-from experiments.statistics import Estimate, at, between, per_run, rms
+from experiments.statistics import at, between, per_run, rms
 from jaxalign import Log, align
 from jaxalign.methods import build
-from jaxalign.simulate import Scenario, aid_velocity, scenario, simulate, truth
+from jaxalign.simulate import Scenario, aid_values, scenario, simulate, truth
+from jaxalign.tables import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "PUBLISHED",
     "accuracy",
     "conditions",
     "early_hits",
@@ -32,9 +32,6 @@ __all__ = [
     "weights_over_time",
     "yaw_at",
 ]
-
-PUBLISHED = {"observe.coriolis": "recursive", "observe.transport_rate": False}
-"""The observation as both papers have it: Coriolis term by recursion, transport rate neglected."""
 
 LAST_S = 50.0
 """RMSE over the last 50 s: Shen et al. (2025), section 4.1.2."""
@@ -48,10 +45,18 @@ def methods(chosen: Mapping[str, Choice]) -> dict[str, Any]:
 
 
 def conditions(
-    name: str, options: Mapping[str, dict[str, Any]], chosen: Mapping[str, Choice], runs: Any, seed: int, **how: Any
+    name: str,
+    options: Mapping[str, dict[str, Any]],
+    chosen: Mapping[str, Choice],
+    runs: Any,
+    seed: int,
+    variant: Callable[[Any], Any] | None = None,
+    **how: Any,
 ) -> dict[str, dict[str, Errors]]:
-    """Condition -> label -> errors, on the same runs."""
+    """Condition -> label -> errors, on the same runs; of a variant (method -> method) of the methods."""
     made = methods(chosen)
+    if variant is not None:
+        made = {label: variant(method) for label, method in made.items()}
     return {
         condition: monte_carlo(scenario(name, **option), made, runs, seed, title=f"{name}, {condition}", **how)
         for condition, option in options.items()
@@ -86,7 +91,8 @@ def early_hits(name: str, outliers: dict[str, Any], runs: int, seed: int, before
 
     @jax.jit
     def hit(key: Any) -> Any:
-        wrong = aid_velocity(exact, clean, key) != aid_velocity(exact, bad, key)  # all the other draws are the same
+        (one,), (other,) = (aid_values(exact, made, key) for made in (clean, bad))
+        wrong = one != other  # all the other draws are the same
         return jnp.any(wrong & (exact.t <= before)[:, None])
 
     return np.asarray(jax.vmap(hit)(run_keys(seed, runs)))
@@ -96,9 +102,7 @@ def log_with_outliers(name: str, outliers: dict[str, Any], seed: int) -> tuple[L
     """One log, and which of its velocities are outliers."""
     made: Scenario = scenario(name, **outliers)
     log, clean = simulate(made, seed), simulate(name, seed)
-    assert log.velocity is not None
-    assert clean.velocity is not None
-    return log, np.any(log.velocity != clean.velocity, axis=1)
+    return log, np.any(log.aids[0].value != clean.aids[0].value, axis=1)
 
 
 def run_weights(chosen: Mapping[str, Choice], log: Log) -> dict[str, np.ndarray]:
@@ -109,7 +113,7 @@ def run_weights(chosen: Mapping[str, Choice], log: Log) -> dict[str, np.ndarray]
 def weights_over_time(found: dict[str, np.ndarray], log: Log, hit: np.ndarray, title: str) -> Figure:
     """The weights of each method, outliers marked."""
     axes = panels(len(found), 1, height=1.0 + 1.7 * len(found), sharex=True)
-    time = np.arange(log.epochs + 1) * log.aid_every * log.dt
+    time = log.times - log.t0
     for axis, (label, weight) in zip(axes[:, 0], found.items(), strict=True):
         for mask, text, style in ((~hit, "good velocity", "C0."), (hit, "outlier", "C3x")):
             axis.plot(time[mask], weight[mask], style, markersize=3 if style == "C0." else 5, label=text)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,27 +18,12 @@ import numpy as np
 
 from experiments.progress import progress
 from jaxalign.epochs import Epochs
-from jaxalign.prefilter.base import without_prefilter
 from jaxalign.simulate import Scenario, Truth, truth
-from jaxalign.study.errors import Rows, errors_of, rows_of
-from jaxalign.study.feed import World, feed_of, world_of
-from jaxalign.study.feed import run_keys as keys_of
+from jaxalign.study.epochs_spec import RunModel, epochs_spec, run_model
+from jaxalign.study.epochs_spec import run_keys as keys_of
+from jaxalign.study.errors import Errors, Rows, errors_of, rows_of
 
 __all__ = ["Errors", "monte_carlo", "run_keys"]
-
-
-class Errors(NamedTuple):
-    """Errors of one method, NaN where it has no attitude.
-
-    Attributes:
-        time: (K,) s.
-        phi: (runs, K, 3) deg: east, north, up, with C_est = (I - [phi x]) C_true.
-        euler: (runs, K, 3) deg: pitch, roll, yaw, estimate minus truth.
-    """
-
-    time: np.ndarray
-    phi: np.ndarray
-    euler: np.ndarray
 
 
 def run_keys(seed: int, runs: int | np.ndarray) -> jax.Array:
@@ -47,14 +32,13 @@ def run_keys(seed: int, runs: int | np.ndarray) -> jax.Array:
 
 
 @eqx.filter_jit
-def _epochs(world: World, keys: jax.Array) -> Epochs:
-    return world.epochs(keys)
+def _epochs(model: RunModel, keys: jax.Array) -> Epochs:
+    return model.epochs(keys)
 
 
 @eqx.filter_jit
-def _errors(method: Any, epochs: Epochs, exact: Truth, where: Rows):
-    found = errors_of(method, epochs, exact, where)
-    return found.phi, found.euler
+def _errors(method: Any, epochs: Epochs, exact: Truth, where: Rows) -> Errors:
+    return errors_of(method, epochs, exact, where)
 
 
 def _multiples(time: np.ndarray, spacing: float) -> np.ndarray:
@@ -93,30 +77,31 @@ def monte_carlo(
     chunk = min(chunk, len(numbers))
     filled = np.resize(numbers, -(-len(numbers) // chunk) * chunk)  # the last chunk is as long as the others
     keys = run_keys(seed, filled).reshape(-1, chunk)
-    feeds = {label: feed_of(method, made) for label, method in methods.items()}
-    worlds: dict[str, World] = {}
+    specs = {label: epochs_spec(method, made) for label, method in methods.items()}
+    models: dict[str, RunModel] = {}
     parts: dict[str, list[Any]] = {label: [] for label in methods}
     time: dict[str, np.ndarray] = {}
     with progress(title or made.name, keys.size * len(methods)) as bar:
         for some in keys:
             measured: dict[str, Epochs] = {}
             for label, method in methods.items():
-                feed = feeds[label]
-                if feed.name not in worlds:
+                spec = specs[label]
+                if spec.name not in models:
                     # Without its name: scenarios that differ in numbers alone share their programs.
                     unnamed = dataclasses.replace(made, name="scenario")
-                    worlds[feed.name] = world_of(unnamed, feed, jax.random.key(seed), "samples", exact)
-                if feed.name not in measured:
-                    measured[feed.name] = _epochs(worlds[feed.name], some)
-                where = rows_of(made, feed, every if isinstance(every, int) else every[label])
-                errors = _errors(without_prefilter(method), measured[feed.name], exact, where)
-                times = np.asarray(exact.t)[where.places]
-                kept = _multiples(times, spacing)
-                parts[label].append([np.asarray(x)[:, kept] for x in errors])
-                time[label] = times[kept]
+                    models[spec.name] = run_model(unnamed, spec, jax.random.key(seed), "samples", exact)
+                if spec.name not in measured:
+                    measured[spec.name] = _epochs(models[spec.name], some)
+                where = rows_of(made, spec, every if isinstance(every, int) else every[label])
+                spaced = method.bare.at_interval(spec.samples / made.imu_rate)
+                errors = _errors(spaced, measured[spec.name], exact, where)
+                time[label] = np.asarray(errors.time)
+                kept = _multiples(time[label], spacing)
+                parts[label].append([np.asarray(x)[:, kept] for x in (errors.euler, errors.phi, errors.failed)])
+                time[label] = time[label][kept]
                 bar.update(chunk)
     out = {}
     for label, errors in parts.items():
-        phi, euler = (np.concatenate(x)[: len(numbers)] for x in zip(*errors, strict=True))
-        out[label] = Errors(time[label], phi, euler)
+        euler, phi, failed = (np.concatenate(x)[: len(numbers)] for x in zip(*errors, strict=True))
+        out[label] = Errors(time[label], euler, phi, failed)
     return out

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.statistics import Estimate
+from jaxalign.tables import Estimate, markdown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,8 +39,7 @@ class Table:
 
     def markdown(self) -> str:
         """As a Markdown table."""
-        lines = [self.columns, ("---",) * len(self.columns), *self.rows]
-        return "\n".join("| " + " | ".join(_text(x) for x in cells) + " |" for cells in lines)
+        return markdown(self.columns, [[_text(x) for x in cells] for cells in self.rows])
 
     def records(self) -> list[tuple[Any, ...]]:
         """(table, row, column, value, standard error) of each number; the words of a row name it."""

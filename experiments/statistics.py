@@ -6,26 +6,13 @@ Errors are arrays (runs, rows) of one axis.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-__all__ = ["Estimate", "at", "between", "compared", "few_runs", "mean", "per_run", "rms", "share"]
+from jaxalign.tables import Estimate
 
-
-class Estimate(NamedTuple):
-    """A number and its standard error."""
-
-    value: float
-    error: float
-
-    def __str__(self) -> str:
-        """To two digits of the standard error."""
-        if not (math.isfinite(self.error) and self.error > 0):
-            return f"{self.value:.3g}"
-        digits = 1 - math.floor(math.log10(self.error))
-        shown = max(0, digits)
-        return f"{self.value:.{shown}f} ± {round(self.error, digits):.{shown}f}"
+__all__ = ["at", "between", "compared", "few_runs", "mean", "per_run", "rms", "share"]
 
 
 def between(time: np.ndarray, start: float, stop: float) -> np.ndarray:

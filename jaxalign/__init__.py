@@ -24,13 +24,14 @@ from jaxalign.lazy import lazily
 
 if TYPE_CHECKING:
     from jaxalign import compilation, earth, io, methods, metrics, prefilter, rotation, simulate, study, tune
+    from jaxalign.aids import AbstractAid, BodyVelocity, Heading, NavVelocity, NonHolonomic, Standing, Unknown
     from jaxalign.aligner import Aligner, AlignState
     from jaxalign.alignment import align, estimate_aid_sd
     from jaxalign.auto import Choice, choose
-    from jaxalign.batch import RobustMap
+    from jaxalign.batch import Auto, RobustMap
     from jaxalign.bounds import Bound, bound
     from jaxalign.earth import Site
-    from jaxalign.epochs import Epoch, Epochs, epochs_from_arrays, epochs_from_log
+    from jaxalign.epochs import Epoch, Epochs, Fix
     from jaxalign.errors import UserError
     from jaxalign.estimate import (
         AbstractEstimate,
@@ -45,36 +46,43 @@ if TYPE_CHECKING:
         davenport,
     )
     from jaxalign.fine import ErrorFilter, Fine
-    from jaxalign.inertial_unit import ImuErrors, imu_errors
-    from jaxalign.io import read
+    from jaxalign.front_end import FrontEnd, epochs_from_arrays, epochs_from_log
+    from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors, imu_errors
+    from jaxalign.io import log_from_streams, read
     from jaxalign.log import Log
+    from jaxalign.measurements import Measurements
     from jaxalign.mechanization import NavState, navigate
     from jaxalign.method import AbstractMethod
     from jaxalign.methods import build
-    from jaxalign.observe import AbstractObserve, BodyVelocity, Context, NavVelocity, Pair, Static
+    from jaxalign.nav_estimate import NavEstimate
+    from jaxalign.observe import AbstractObserve, BodyVelocityVectors, Context, GravityVectors, NavVelocityVectors, Pair
     from jaxalign.parametrization import parameters, tunable, with_parameters
     from jaxalign.preintegration import Increment, preintegrate
-    from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Measured, Rls
-    from jaxalign.record_method import AbstractRecordMethod
+    from jaxalign.reconstruct import AbstractReconstruct, ApparentVelocityFilter, Identity, Rls
     from jaxalign.solution import FilterRecord, Solution, Status
     from jaxalign.two_vector import DualVector, MeanTriad
     from jaxalign.uncertainty import assess
     from jaxalign.vector import Mat3, Quat, Vec3
     from jaxalign.weight import AbstractWeight, Huber, Mahalanobis, Unit
+    from jaxalign.whole_record import AbstractWholeRecordMethod
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "AbstractAid",
     "AbstractEstimate",
     "AbstractMethod",
     "AbstractObserve",
     "AbstractReconstruct",
-    "AbstractRecordMethod",
     "AbstractWeight",
+    "AbstractWholeRecordMethod",
+    "AccelErrors",
     "AlignState",
     "Aligner",
     "ApparentVelocityFilter",
+    "Auto",
     "BodyVelocity",
+    "BodyVelocityVectors",
     "Bound",
     "CentredWahba",
     "Choice",
@@ -85,7 +93,13 @@ __all__ = [
     "ErrorFilter",
     "FilterRecord",
     "Fine",
+    "Fix",
+    "FrontEnd",
+    "GravityVectors",
+    "GyroErrors",
+    "Heading",
     "Huber",
+    "Identity",
     "ImuErrors",
     "Increment",
     "KMatrixFilter",
@@ -93,9 +107,12 @@ __all__ = [
     "Mahalanobis",
     "Mat3",
     "MeanTriad",
-    "Measured",
+    "Measurements",
+    "NavEstimate",
     "NavState",
     "NavVelocity",
+    "NavVelocityVectors",
+    "NonHolonomic",
     "OptimalRequest",
     "Pair",
     "QMethod",
@@ -108,9 +125,10 @@ __all__ = [
     "RobustMap",
     "Site",
     "Solution",
-    "Static",
+    "Standing",
     "Status",
     "Unit",
+    "Unknown",
     "UserError",
     "Vec3",
     "align",
@@ -126,6 +144,7 @@ __all__ = [
     "estimate_aid_sd",
     "imu_errors",
     "io",
+    "log_from_streams",
     "methods",
     "metrics",
     "navigate",
@@ -142,30 +161,34 @@ __all__ = [
 ]
 
 _HOMES = {
+    "aids": "AbstractAid BodyVelocity Heading NavVelocity NonHolonomic Standing Unknown",
     "aligner": "Aligner AlignState",
     "alignment": "align estimate_aid_sd",
     "auto": "Choice choose",
-    "batch": "RobustMap",
+    "batch": "Auto RobustMap",
     "bounds": "Bound bound",
     "earth": "Site",
-    "epochs": "Epoch Epochs epochs_from_arrays epochs_from_log",
+    "epochs": "Epoch Epochs Fix",
     "errors": "UserError",
     "estimate": (
         "AbstractEstimate CentredWahba KMatrixFilter OptimalRequest QMethod QuaternionFilter Readout Request "
         "RevisingWahba davenport"
     ),
     "fine": "ErrorFilter Fine",
-    "inertial_unit": "ImuErrors imu_errors",
-    "io": "read",
+    "front_end": "FrontEnd epochs_from_arrays epochs_from_log",
+    "inertial_unit": "AccelErrors GyroErrors ImuErrors imu_errors",
+    "io": "log_from_streams read",
     "log": "Log",
+    "measurements": "Measurements",
     "mechanization": "NavState navigate",
     "method": "AbstractMethod",
     "methods": "build",
-    "observe": "AbstractObserve BodyVelocity Context NavVelocity Pair Static",
+    "nav_estimate": "NavEstimate",
+    "observe": "AbstractObserve BodyVelocityVectors Context GravityVectors NavVelocityVectors Pair",
     "parametrization": "parameters tunable with_parameters",
     "preintegration": "Increment preintegrate",
-    "reconstruct": "AbstractReconstruct ApparentVelocityFilter Measured Rls",
-    "record_method": "AbstractRecordMethod",
+    "reconstruct": "AbstractReconstruct ApparentVelocityFilter Identity Rls",
+    "whole_record": "AbstractWholeRecordMethod",
     "solution": "FilterRecord Solution Status",
     "two_vector": "DualVector MeanTriad",
     "uncertainty": "assess",

@@ -1,10 +1,15 @@
-"""The white noise of an aid, from the vectors themselves."""
+"""The white noise of an aid, from the vectors or the values themselves."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-__all__ = ["white_noise_sd"]
+if TYPE_CHECKING:
+    from jaxalign.epochs import Fix
+
+__all__ = ["values_noise_sd", "white_noise_sd"]
 
 _ORDER = 3
 _WHITE, _WALK = np.sqrt(20.0), np.sqrt(6.0)  # gain of third differences for white noise, and for a random walk's steps
@@ -37,3 +42,24 @@ def white_noise_sd(alpha: np.ndarray, beta: np.ndarray, valid: np.ndarray, walk:
     differences = np.diff(alpha - beta @ c.T, n=_ORDER, axis=0)
     per_axis = np.median(np.abs(differences), axis=0) / 0.6745 / (_WALK if walk else _WHITE)
     return max(float(np.sqrt(np.mean(per_axis**2))), _FLOOR)
+
+
+def values_noise_sd(fix: Fix, periodic: bool = False) -> float | None:
+    """Standard deviation of the white noise of an aid (in its unit; of several components the root mean square).
+
+    By the median of third differences over what is there: it holds the motion too, where that is fast.
+
+    Args:
+        fix: leaves (K,).
+        periodic: the values are angles.
+
+    Returns:
+        The standard deviation by all components that have thirteen values, or None where there is none.
+    """
+    found = []
+    for value, known in zip(fix.value, fix.known, strict=True):
+        x = np.asarray(value)[np.asarray(known)]
+        x = np.unwrap(x) if periodic else x
+        if len(x) >= _ORDER + _LEAST:
+            found.append(np.median(np.abs(np.diff(x, n=_ORDER))) / 0.6745 / _WHITE)
+    return max(float(np.sqrt(np.mean(np.square(found)))), _FLOOR) if found else None

@@ -13,18 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxalign.aids import AbstractAid
 from jaxalign.compilation.programs import Program
 from jaxalign.earth import Site
-from jaxalign.epochs import Epoch, Epochs, check_prefilter, strided_rows
+from jaxalign.epochs import Epoch, Epochs, strided_rows
+from jaxalign.errors import UserError
 from jaxalign.estimate import AbstractEstimate, Readout
+from jaxalign.front_end import FrontEnd
 from jaxalign.method import AbstractMethod
+from jaxalign.observability import Observability
 from jaxalign.observe import AbstractObserve, Context, Pair
 from jaxalign.precision import require_x64
-from jaxalign.prefilter import AbstractPrefilter
-from jaxalign.prefilter.base import optional_prefilter, without_prefilter
-from jaxalign.reconstruct import AbstractReconstruct, Measured
-from jaxalign.solution import Solution, status_bits
-from jaxalign.spread import Spread
+from jaxalign.reconstruct import AbstractReconstruct, Identity
+from jaxalign.solution import Solution, assembled
 from jaxalign.vector import Quat, Vec3, where
 from jaxalign.weight import AbstractWeight, Unit
 
@@ -40,7 +41,7 @@ class AlignState(eqx.Module):
     reconstruct: Any
     weight: Any
     estimate: Any
-    spread: Spread
+    observability: Observability
     index: Int[Array, ""]
     time: Float[Array, ""]
     dt: Float[Array, ""]
@@ -61,7 +62,7 @@ class AlignState(eqx.Module):
 class Aligner(AbstractMethod):
     """A recursive method: a choice of four slots.
 
-    ``state = aligner.init(site, interval)``, then ``state, row = aligner.step(state, epoch)`` for every epoch, the
+    ``state = aligner.init(site)``, then ``state, row = aligner.step(state, epoch)`` for every epoch, the
     first one being :meth:`Epoch.start`: online, or inside a scan of your own (wrap the step in a local function:
     ``lax.scan(lambda s, e: aligner.step(s, e), ...)``). :func:`align` does it for a log.
 
@@ -70,30 +71,23 @@ class Aligner(AbstractMethod):
         reconstruct: measured pairs to modelled ones.
         weight: pairs to weights.
         estimate: weighted pairs to an attitude.
-        prefilter: low-pass filter of the specific force of a whole log of a standing vehicle (:meth:`epochs`); the
-            steps know nothing of it. None: no filter.
+        front_end: makes epochs of a log (:meth:`epochs`); the steps know nothing of it.
     """
 
     observe: AbstractObserve
-    reconstruct: AbstractReconstruct = eqx.field(default_factory=Measured)
+    reconstruct: AbstractReconstruct = eqx.field(default_factory=Identity)
     weight: AbstractWeight = eqx.field(default_factory=Unit)
     estimate: AbstractEstimate = eqx.field(kw_only=True)
-    prefilter: AbstractPrefilter | None = optional_prefilter()
+    front_end: FrontEnd = eqx.field(default_factory=FrontEnd, kw_only=True)
 
     def __check_init__(self):
-        check_prefilter(self.prefilter, self.aid)
         for slot in (self.reconstruct, self.weight, self.estimate):
             slot.check(self.observe)
 
     @property
-    def aid(self) -> str:
-        """The kind of aid that it observes."""
-        return self.observe.aid
-
-    @property
-    def interval_samples(self) -> int | None:
-        """IMU samples per epoch; None: as the log has it."""
-        return self.observe.interval_samples
+    def aids(self) -> tuple[AbstractAid, ...]:
+        """The aid that it observes."""
+        return (self.observe.aid,)
 
     @property
     def fits_vectors(self) -> bool:
@@ -104,30 +98,46 @@ class Aligner(AbstractMethod):
         """As the observation has it, see :meth:`AbstractObserve.whitened`."""
         return self.observe.whitened(residual, time, sd, interval)
 
-    def init(self, site: Site, interval: float, aid_sd: Any = 1.0) -> AlignState:
+    def at_interval(self, seconds: float | None) -> Aligner:
+        """The same for epochs so far apart (s; None: at unequal intervals), which a window must know beforehand.
+
+        :meth:`solve` finds out by itself, but inside traced code it cannot.
+
+        Raises:
+            UserError: it has a window, and the intervals differ.
+        """
+        if not self.observe.window:
+            return self
+        if seconds is None:
+            raise UserError(
+                f"observe.window = {self.observe.window:g} s: a window is a number of epochs, and the aids of this "
+                "log do not measure at equal intervals: leave it at 0"
+            )
+        return dataclasses.replace(self, observe=dataclasses.replace(self.observe, interval=seconds))
+
+    def init(self, site: Site, aid_sd: Any = 1.0) -> AlignState:
         """State before the first epoch.
 
         Args:
             site: where the vehicle is switched on.
-            interval: nominal seconds between epochs (a Python float).
             aid_sd: standard deviation of the aid's white noise per axis, m/s.
         """
         require_x64(self, site)
         zero, v = jnp.zeros((), jnp.float64), Vec3.zero()
-        coupled = self.observe.coupled and self.reconstruct.keeps_moment
-        moment = v if coupled else None
+        coupled = self.observe.coupled and self.reconstruct.keeps_displacement
+        displacement = v if coupled else None
         return AlignState(
-            observe=self.observe.init(site, interval),
+            observe=self.observe.init(site),
             reconstruct=self.reconstruct.init(),
             weight=self.weight.init(),
             estimate=self.estimate.init(coupled),
-            spread=Spread.zero(),
+            observability=Observability.zero(),
             index=jnp.full((), -1, jnp.int32),
             time=zero,
             dt=zero,
             sd=jnp.asarray(aid_sd, jnp.float64),
             readout=Readout.nothing(),
-            pair=Pair(v, v, jnp.zeros((), bool), v, v, moment, v),
+            pair=Pair(v, v, jnp.zeros((), bool), v, v, displacement, v),
             aided=jnp.zeros((), bool),
             used=zero,
         )
@@ -141,13 +151,13 @@ class Aligner(AbstractMethod):
         weight_state, weight = self.weight.step(state.weight, context, pair)
         weight = jnp.where(pair.valid, weight, 0.0)
         estimate = self.estimate.update(state.estimate, context, pair, weight)
-        spread = state.spread + Spread.of(pair.clean, pair.valid)
+        observability = state.observability + Observability.of(pair.noise_free, pair.valid)
         return AlignState(
             observe=observe,
             reconstruct=reconstruct,
             weight=weight_state,
             estimate=estimate,
-            spread=spread,
+            observability=observability,
             index=state.index,
             time=state.time,
             dt=state.dt,
@@ -172,27 +182,26 @@ class Aligner(AbstractMethod):
         readout = self.estimate.readout(state.estimate, context)
         defined, o = readout.defined, state.observe
         attitude = where(defined, readout.attitude, Quat.identity())
-        q_nb = (o.q_n0n.conjugate() * attitude * o.q_b0b).unit().positive()
-        q_nb = where(defined, q_nb, Quat.identity())
+        q_nb = (o.q_n0n.conjugate() * attitude * o.q_b0b).unit()
         pair = state.pair
         residual = pair.residual(attitude)
-        observable = state.spread.observable(state.sd, self.observe.steps) & defined
         finite = jnp.isfinite(readout.eigengap + q_nb.norm2() + residual.norm2())
-        unused = state.aided & (state.used == 0)
-        bits = status_bits(defined=defined, observable=observable, aided=state.aided, finite=finite, unused=unused)
-        row = Solution(
+        row = assembled(
             time=state.time,
             q_nb=q_nb.array,
             defined=defined,
-            observable=observable,
-            eigengap=readout.eigengap,
+            observable=state.observability.observable(state.sd, self.observe.steps),
+            finite=finite,
+            aided=state.aided,
             residual=residual.array,
             weight=state.used,
             alpha=pair.alpha.array,
             beta=pair.beta.array,
-            covariance=None,
-            status=readout.status + bits,
             aid_sd=state.sd,
+            aids={self.observe.aid.name: (residual.array, state.used, state.sd, state.aided)},
+            eigengap=readout.eigengap,
+            unused=state.aided & (state.used == 0),
+            status=readout.status,
         )
         return eqx.tree_at(lambda s: s.readout, state, readout), row
 
@@ -203,7 +212,10 @@ class Aligner(AbstractMethod):
     def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] | None = None) -> Solution:
         """Align epochs: one compiled scan; also inside jit, vmap and grad (see :meth:`AbstractMethod.solve`)."""
         every, places = strided_rows(len(epochs), rows)
-        return _jitted(without_prefilter(self), epochs, every, places)
+        method = self.bare
+        if self.observe.window and self.observe.interval is None:
+            method = method.at_interval(epochs.interval)
+        return _jitted(method, epochs, every, places)
 
 
 def _scan(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
@@ -226,8 +238,8 @@ def _scan_rows(aligner: Aligner, epochs: Epochs, every: int) -> Solution:
 
     Reverse mode keeps a state per segment, and what the epochs of one segment leave: as much of either.
     """
-    state = aligner.init(epochs.site, epochs.interval, epochs.aid_sd)
-    rows = epochs.rows
+    state = aligner.init(epochs.site, epochs.aid_sd)
+    rows = epochs.rows.whole
 
     def step(state, row):
         return aligner.step(state, row)

@@ -2,55 +2,70 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jax.core import Tracer
 
-from jaxalign.aid_noise import white_noise_sd
+from jaxalign.aid_noise import values_noise_sd, white_noise_sd
 from jaxalign.aligner import Aligner
-from jaxalign.epochs import Epochs, check_every
+from jaxalign.epochs import Epochs, Fix, check_every
 from jaxalign.errors import UserError
 from jaxalign.estimate import QMethod
+from jaxalign.front_end import aids_for
 from jaxalign.log import Log
 from jaxalign.method import AbstractMethod
-from jaxalign.observe import AbstractObserve, BodyVelocity, NavVelocity, Static
-from jaxalign.parametrization import as_float64
+from jaxalign.observe import OBSERVERS, observer
 from jaxalign.precision import require_x64
-from jaxalign.prefilter.base import without_prefilter
 from jaxalign.solution import Solution, Status
 
 __all__ = ["align", "epochs_for", "estimate_aid_sd"]
 
 
-def estimate_aid_sd(epochs: Epochs) -> float:
-    """Standard deviation of the aid's white noise (m/s; standing: of the force over one interval), from the epochs.
+def estimate_aid_sd(epochs: Epochs, which: int = 0) -> float:
+    """Standard deviation of an aid's white noise (in its unit; standing: of the force over one interval, m/s).
 
-    Aligns once with the plain q-method to get the vectors, then :func:`jaxalign.aid_noise.white_noise_sd`.
+    Of a whole velocity: aligns once with the plain q-method to get the vectors, then
+    :func:`jaxalign.aid_noise.white_noise_sd`. Of others, and where one component is missing all the time: by third
+    differences of the values themselves, which hold the motion too where it is fast.
+
+    Args:
+        epochs: of one log.
+        which: of its aids.
 
     Raises:
         UserError: too few epochs to tell.
     """
-    observe: AbstractObserve = {"static": Static, "body": BodyVelocity, "nav": NavVelocity}[epochs.aid]()
-    found = Aligner(observe, estimate=QMethod()).solve(epochs)
-    valid = np.asarray(found.status) & int(Status.AID_MISSING) == 0
-    sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid, walk=observe.steps)
+    aid = epochs.aids[which]
+    if aid.full_velocity and type(aid) in OBSERVERS:
+        observe = observer(aid)
+        fix = epochs.rows.fixes[which]
+        whole = np.all([np.asarray(x) for x in fix.known], axis=0)
+        rows = dataclasses.replace(epochs.rows, fixes=(Fix(fix.value, whole),))
+        alone = Epochs(rows, epochs.site, (epochs.sd[which],), (aid,), epochs.filtered)
+        found = Aligner(observe, estimate=QMethod()).solve(alone)
+        valid = np.asarray(found.status) & int(Status.AID_MISSING) == 0
+        sd = white_noise_sd(np.asarray(found.alpha), np.asarray(found.beta), valid, walk=observe.steps)
+    else:
+        sd = None
+    if sd is None and not aid.implied:
+        sd = values_noise_sd(epochs.rows.fixes[which], aid.periodic)
     if sd is None:
         what = (
             "epochs to estimate the noise of the force"
-            if epochs.aid == "static"
-            else "velocities to estimate the aid's"
+            if aid.implied
+            else f"values to estimate the noise of {aid.name}"
         )
-        raise UserError(f"too few {what}: state it (aid_sd of the log, --aid-sd), m/s")
+        raise UserError(f"too few {what}: state it (sd of the measurements, --aid-sd), {aid.unit}")
     return sd
 
 
 def _measured(method: AbstractMethod, log: Log, epochs: Epochs) -> Epochs:
     """The epochs of a log as measured: behind a prefilter the noise is not white, and cannot be estimated."""
-    raw = without_prefilter(method)
-    return epochs if raw is method else raw.epochs(log)
+    raw = method.front_end.unfiltered
+    return epochs if raw is method.front_end else method.with_front_end(raw).epochs(log)
 
 
 def align(
@@ -70,10 +85,10 @@ def align(
             The eigenproblem costs as much as all the rest of a step, so it is solved only for the rows, and for the
             feedback of the attitude: into the transport rate at least every 10 epochs, into a weight that looks at
             the attitude at each.
-        aid_sd: standard deviation of the aid's white noise per axis, m/s (for a method that takes the vehicle as
-            standing: of the force integrated over one interval). By default what the log says of the aid that the
-            method observes, else an estimate from the log (:func:`estimate_aid_sd`). ``Solution.aid_sd`` says what
-            was used.
+        aid_sd: standard deviation of the aid's white noise, in its unit: one number or one for each component (for a
+            method that takes the vehicle as standing: of the force integrated over one interval, m/s); for several
+            aids a sequence of them. By default what the log says, else an estimate from the log
+            (:func:`estimate_aid_sd`). ``Solution.aid_sd`` says what was used.
         done: told how many rows are finished, now and then, by a method whose rows are costly (``rows_are_costly``).
 
     Returns:
@@ -99,21 +114,33 @@ def epochs_for(method: AbstractMethod, log: Log | Epochs, aid_sd: Any = None) ->
     require_x64(method)
     if isinstance(log, Epochs):
         require_x64(log)
-        if log.aid != method.aid:
-            raise UserError(f"these epochs have a {log.aid!r} aid, the method observes {method.aid!r}")
-        if method.prefilter is not None and not log.filtered:
+        if method.aids != log.aids:
+            there, wanted = (
+                " and ".join(f"{aid.name} ({aid.described})" for aid in aids) for aids in (log.aids, method.aids)
+            )
+            raise UserError(f"these epochs have {there}, the method observes {wanted}: build it for what there is")
+        if method.front_end.prefilter is not None and not log.filtered:
             raise UserError(
                 "the method has a prefilter, but these epochs are not filtered: make them with method.epochs(log), or "
-                "with epochs_from_arrays(..., prefilter=method.prefilter)"
+                "with epochs_from_arrays(..., prefilter=method.front_end.prefilter)"
             )
         epochs = log
     else:
         epochs = method.epochs(log)
         if aid_sd is None:
-            stated = log.aid_sd is not None and log.aid == epochs.aid
-            aid_sd = log.aid_sd if stated else estimate_aid_sd(_measured(method, log, epochs))
+            aid_sd = _deviations(method, log, epochs)
     if aid_sd is not None:
-        if not isinstance(aid_sd, Tracer) and not np.all(np.asarray(aid_sd) > 0):
-            raise UserError(f"aid_sd = {aid_sd}: the standard deviation of the aid's noise must be above 0 m/s")
-        epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, as_float64(aid_sd))
+        for one in aid_sd if isinstance(aid_sd, tuple | list) else (aid_sd,):
+            if not isinstance(one, Tracer) and not np.all(np.asarray(one) > 0):
+                raise UserError(f"aid_sd = {one}: the standard deviation of an aid's noise must be above 0")
+        epochs = epochs.with_sd(aid_sd)
     return epochs
+
+
+def _deviations(method: AbstractMethod, log: Log, epochs: Epochs) -> tuple[Any, ...]:
+    """Of each aid the noise that the log states, or an estimate."""
+    out = []
+    for i, (_, seen) in enumerate(aids_for(log, method.aids)):
+        stated = None if seen is None else seen.sd
+        out.append(estimate_aid_sd(_measured(method, log, epochs), i) if stated is None else stated)
+    return tuple(out)

@@ -20,8 +20,6 @@ __all__ = [
     "finite_number",
     "increments",
     "reference",
-    "velocity",
-    "whole_number",
 ]
 
 MAX_LATITUDE_DEG = 89.5
@@ -39,14 +37,6 @@ def finite_number(name: str, key: str, value: Any) -> float:
         shown = f"an array of shape {array.shape}" if array.size != 1 else repr(value)
         raise UserError(f"{name}: {key} is {shown}: it must be one finite number")
     return float(array.reshape(()))
-
-
-def whole_number(name: str, key: str, value: Any) -> int:
-    """A whole number of IMU samples, at least 1."""
-    number = finite_number(name, key, value)
-    if number < 1 or number != round(number):
-        raise UserError(f"{name}: {key} is {number:g}: it must be a whole number of IMU samples, at least 1")
-    return int(number)
 
 
 def check_rate(name: str, dt: float) -> None:
@@ -127,40 +117,6 @@ def increments(name: str, key: str, value: Any, dt: float) -> np.ndarray:
         raise UserError(
             f"{name}: dtheta turns by {np.rad2deg(size[row]):.0f} deg within the one sample of row {row}: rotation "
             "increments in rad are expected, not rates or degrees"
-        )
-    return array
-
-
-_FASTEST = 1e4  # m/s, of a vehicle
-
-
-def velocity(name: str, aid: str, value: Any, epochs: int) -> np.ndarray | None:
-    """(M+1, 3) for an aid, with NaN for what is missing but not everywhere; None for "static"."""
-    if aid == "static":
-        if value is not None:
-            raise UserError(f"{name}: a static log has no aid velocity: give None, or aid = 'nav' for measured zeros")
-        return None
-    if value is None:
-        raise UserError(f"{name}: aid is {aid!r} but there is no velocity: ({epochs + 1}, 3) in m/s is expected")
-    array = _floats(name, "velocity", value, f"({epochs + 1}, 3)")
-    if array.shape != (epochs + 1, 3):
-        raise UserError(
-            f"{name}: velocity has shape {array.shape}: ({epochs + 1}, 3) is expected, one row per epoch "
-            f"from 0 to {epochs}"
-        )
-    infinite = np.flatnonzero(np.isinf(array).any(axis=1))
-    if len(infinite):
-        raise UserError(f"{name}: velocity is infinite at epoch {infinite[0]}: use NaN for a missing aid sample")
-    with np.errstate(invalid="ignore"):
-        absurd = np.flatnonzero(np.any(np.abs(array) > _FASTEST, axis=1))
-    if absurd.size:
-        raise UserError(
-            f"{name}: velocity is {np.nanmax(np.abs(array[absurd[0]])):.3g} m/s at epoch {absurd[0]}: use m/s, and "
-            "NaN for a missing aid sample"
-        )
-    if np.isnan(array).any(axis=1).all():
-        raise UserError(
-            f"{name}: all {epochs + 1} aid velocities are missing (NaN): give some, or align as static (aid = 'static')"
         )
     return array
 

@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 
 from jaxalign.parametrization import as_float64
 from jaxalign.vector import Vec3
-from jaxalign.wgs84 import EARTH_RATE, ECCENTRICITY2, SEMI_MAJOR_AXIS, STANDARD_GRAVITY, gravity
+from jaxalign.wgs84 import EARTH_RATE, SEMI_MAJOR_AXIS, STANDARD_GRAVITY, curvature, gravity
 
 __all__ = [
     "EARTH_RATE",
     "SEMI_MAJOR_AXIS",
     "STANDARD_GRAVITY",
-    "Parallel",
+    "LatitudeCircle",
     "Site",
     "earth_rate",
     "normal_gravity",
@@ -55,7 +55,7 @@ class Site(eqx.Module):
         return normal_gravity(self.lat, self.h) + self.anomaly
 
 
-class Parallel(eqx.Module):
+class LatitudeCircle(eqx.Module):
     """A circle of latitude by its sine and cosine: a vehicle that moves needs no trigonometry at each step.
 
     Attributes:
@@ -67,22 +67,20 @@ class Parallel(eqx.Module):
     cos: Any
 
     @classmethod
-    def of(cls, lat: Any) -> Parallel:
+    def of(cls, lat: Any) -> LatitudeCircle:
         """The circle of a latitude (rad)."""
         return cls(jnp.sin(lat), jnp.cos(lat))
 
-    def moved(self, angle: Any) -> Parallel:
+    def moved(self, angle: Any) -> LatitudeCircle:
         """Further north by a small angle (rad): exact to rounding up to 0.01 rad, or 60 km."""
         square = angle * angle
         sin, cos = angle * (1.0 - square * (1.0 - square / 20.0) / 6.0), 1.0 - square * (0.5 - square / 24.0)
-        return Parallel(self.sin * cos + self.cos * sin, self.cos * cos - self.sin * sin)
+        return LatitudeCircle(self.sin * cos + self.cos * sin, self.cos * cos - self.sin * sin)
 
     @property
     def radii(self) -> tuple[Any, Any]:
         """Radii of curvature in the meridian and in the prime vertical (m)."""
-        x = 1.0 - ECCENTRICITY2 * self.sin**2
-        prime_vertical = SEMI_MAJOR_AXIS / jnp.sqrt(x)
-        return prime_vertical * (1.0 - ECCENTRICITY2) / x, prime_vertical
+        return curvature(self.sin, jnp.sqrt)
 
     def normal_gravity(self, h: Any) -> Any:
         """Normal gravity (m/s^2): Somigliana at the ellipsoid, second order in the height (WGS-84)."""
@@ -102,19 +100,19 @@ class Parallel(eqx.Module):
 
 def radii(lat: Any) -> tuple[Any, Any]:
     """Radii of curvature in the meridian and in the prime vertical (m)."""
-    return Parallel.of(lat).radii
+    return LatitudeCircle.of(lat).radii
 
 
 def normal_gravity(lat: Any, h: Any = 0.0) -> Any:
     """Normal gravity (m/s^2): Somigliana at the ellipsoid, second order in the height (WGS-84)."""
-    return Parallel.of(lat).normal_gravity(h)
+    return LatitudeCircle.of(lat).normal_gravity(h)
 
 
 def earth_rate(lat: Any) -> Vec3:
     """Rotation of the Earth w_ie in n (rad/s)."""
-    return Parallel.of(lat).earth_rate
+    return LatitudeCircle.of(lat).earth_rate
 
 
 def transport_rate(lat: Any, h: Any, velocity: Vec3) -> Vec3:
     """Rotation w_en of n over the Earth (rad/s) for a velocity in n (m/s); infinite at the poles."""
-    return Parallel.of(lat).transport_rate(h, velocity)
+    return LatitudeCircle.of(lat).transport_rate(h, velocity)

@@ -1,76 +1,132 @@
-"""What the recursions consume: one increment and one aid velocity per epoch, on the device."""
+"""What the methods consume: an increment and the measurements of the aids per epoch, on the device."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.aids import AbstractAid
+from jaxalign.arguments import whole_number
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
-from jaxalign.log import Log
 from jaxalign.parametrization import as_float64
-from jaxalign.precision import require_x64
-from jaxalign.prefilter import AbstractPrefilter, filtered_force
-from jaxalign.preintegration import Increment, Scheme, preintegrate
-from jaxalign.preintegration_host import joined, preintegrated
 from jaxalign.vector import Quat, Vec3
 
 __all__ = [
-    "Aid",
     "Epoch",
     "Epochs",
+    "Fix",
     "check_every",
-    "check_prefilter",
-    "epochs_from_arrays",
-    "epochs_from_log",
     "over_runs",
     "row_numbers",
+    "strided_rows",
 ]
 
-Aid = Literal["static", "body", "nav"]
+
+class Fix(eqx.Module):
+    """What an aid has measured at an epoch.
+
+    Attributes:
+        value: its components, in its unit; any finite numbers where there is nothing.
+        valid: whether there is any component.
+        each: which components there are, for an aid that may lack some; None: all or none.
+    """
+
+    value: tuple[Float[Array, "*epochs"], ...]
+    valid: Bool[Array, "*epochs"]
+    each: tuple[Bool[Array, "*epochs"], ...] | None = None
+
+    @classmethod
+    def of(cls, value: Any, partial: bool = False) -> Fix:
+        """From components on a last axis, NaN where missing; at this boundary only: inside, masks and finite numbers.
+
+        Args:
+            value: (..., m); NumPy stays NumPy.
+            partial: components may be missing one by one; else one that is missing takes the others with it.
+        """
+        xp = np if isinstance(value, np.ndarray) else jnp
+        known = xp.isfinite(value)
+        size = value.shape[-1]
+        whole = xp.all(known, axis=-1)
+        there = xp.where(known if partial else whole[..., None], value, 0.0)
+        parts = tuple(there[..., i] for i in range(size))
+        if not partial:
+            return cls(parts, whole)  # pyright: ignore[reportArgumentType]
+        return cls(parts, xp.any(known, axis=-1), tuple(known[..., i] for i in range(size)))  # pyright: ignore[reportArgumentType]
+
+    @property
+    def whole(self) -> Fix:
+        """The fix, valid only where all components are there."""
+        if self.each is None:
+            return self
+        valid = self.each[0]
+        for there in self.each[1:]:
+            valid = valid & there
+        return Fix(self.value, valid)
+
+    @property
+    def known(self) -> tuple[Any, ...]:
+        """Of each component, whether it is there."""
+        return self.each or (self.valid,) * len(self.value)
 
 
 class Epoch(eqx.Module):
-    """One row: the interval up to the epoch and the aid at the epoch.
+    """One row: the interval up to the epoch and what the aids measured at the epoch.
 
     Attributes:
         rotation: from b now to b at the previous epoch.
         dvel: integral of the specific force over the interval, m/s, in b at the previous epoch.
         dt: length of the interval, s; zero at the first epoch.
-        velocity: of the aid, m/s, in b or n; any finite number where not ``valid``.
-        valid: whether the aid has a sample here.
+        fixes: of each aid.
     """
 
     rotation: Quat
     dvel: Vec3
     dt: Float[Array, "*epochs"]
-    velocity: Vec3
-    valid: Bool[Array, "*epochs"]
+    fixes: tuple[Fix, ...]
 
     @classmethod
-    def of(cls, rotation, dvel, dt, velocity) -> Epoch:
-        """Build from arrays: rotation (..., 4), dvel (..., 3), dt (...), velocity (..., 3) with NaN where missing."""
-        safe, valid = _known(jnp.asarray(velocity, jnp.float64))
-        return cls(Quat.of(rotation), Vec3.of(dvel), jnp.asarray(dt, jnp.float64), safe, valid)
+    def of(cls, rotation, dvel, dt, *values) -> Epoch:
+        """From arrays: rotation (..., 4), dvel (..., 3), dt (...), of each aid (..., m) with NaN where missing."""
+        fixes = tuple(Fix.of(jnp.asarray(value, jnp.float64)) for value in values)
+        return cls(Quat.of(rotation), Vec3.of(dvel), jnp.asarray(dt, jnp.float64), fixes)
 
     @classmethod
-    def start(cls, velocity) -> Epoch:
-        """The first epoch: no interval before it, the aid's velocity (3,), NaN if missing."""
-        return cls.of(jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(3), 0.0, velocity)
+    def start(cls, *values) -> Epoch:
+        """The first epoch: no interval before it; of each aid (m,), NaN if missing."""
+        return cls.of(jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(3), 0.0, *values)
 
+    @property
+    def velocity(self) -> Vec3:
+        """The velocity of the only aid, m/s, in its axes; any finite numbers where not ``valid``.
 
-def _known(velocity) -> tuple[Vec3, Bool[Array, "*epochs"]]:
-    """NaN means missing, at this boundary only: inside, a mask and a finite number."""
-    valid = jnp.all(jnp.isfinite(velocity), axis=-1)
-    return Vec3.of(jnp.where(valid[..., None], velocity, 0.0)), valid
+        A recursion of vectors takes one aid, with whole velocities.
+        """
+        return Vec3(*self.fixes[0].value)
+
+    @property
+    def valid(self) -> Any:
+        """Whether the only aid has a velocity here."""
+        return self.fixes[0].valid
+
+    @property
+    def whole(self) -> Epoch:
+        """The epoch with whole fixes: a component that is missing takes the others of its fix with it."""
+        return dataclasses.replace(self, fixes=tuple(fix.whole for fix in self.fixes))
+
+    def with_velocity(self, velocity: Vec3, valid: Any = None) -> Epoch:
+        """With another velocity of the only aid; ``valid`` stays if it is not given."""
+        (fix,) = self.fixes
+        new = Fix((velocity.x, velocity.y, velocity.z), fix.valid if valid is None else valid)
+        return dataclasses.replace(self, fixes=(new,))
 
 
 class Epochs(eqx.Module):
@@ -79,21 +135,49 @@ class Epochs(eqx.Module):
     Attributes:
         rows: an :class:`Epoch` with leaves of shape (M+1,).
         site: latitude, longitude, height of the start.
-        aid_sd: standard deviation of the aid's white noise per axis, m/s (standing: of the force over one interval).
-        aid: "static", "body" or "nav" (static).
-        interval: nominal length of an interval, s, to four digits (static: windows in seconds become counts by it).
+        sd: of each aid the standard deviation of its white noise: one number, or (m,) (standing: of the force over one
+            interval, m/s).
+        aids: that the rows hold (static).
         filtered: whether a prefilter has smoothed the force.
     """
 
     rows: Epoch
     site: Site
-    aid_sd: Float[Array, ""]
-    aid: Aid = eqx.field(static=True)
-    interval: float = eqx.field(static=True)
+    sd: tuple[Float[Array, "*m"], ...]
+    aids: tuple[AbstractAid, ...] = eqx.field(static=True)
     filtered: bool = eqx.field(static=True, default=False)
 
     def __len__(self) -> int:
         return self.rows.dt.shape[-1]
+
+    @property
+    def interval(self) -> float | None:
+        """Between epochs, s, to four digits; None where intervals differ. On the host: it depends on the data.
+
+        Raises:
+            UserError: inside traced code.
+        """
+        if isinstance(self.rows.dt, Tracer):
+            raise UserError(
+                "the interval between epochs is not known inside traced code: give it from outside, with "
+                "method.at_interval(epochs.interval)"
+            )
+        steps = np.asarray(self.rows.dt)[..., 1:]
+        first = float(steps.flat[0])
+        return float(f"{first:.4g}") if np.allclose(steps, first, rtol=1e-9, atol=0.0) else None
+
+    @property
+    def aid_sd(self) -> Any:
+        """Of the first aid, as one number (of several their root mean square)."""
+        sd = self.sd[0]
+        return sd if jnp.ndim(sd) == 0 else jnp.sqrt(jnp.mean(jnp.square(sd)))
+
+    def with_sd(self, sd: Any) -> Epochs:
+        """With other standard deviations: of the only aid, or a sequence of those of all."""
+        given = sd if isinstance(sd, tuple | list) else (sd,)
+        if len(given) != len(self.aids):
+            raise UserError(f"standard deviations of {len(given)} aids, but there are {len(self.aids)}: one for each")
+        return eqx.tree_at(lambda e: e.sd, self, tuple(as_float64(x) for x in given))
 
 
 def over_runs(f: Callable[[Epochs], Any], epochs: Epochs) -> Any:
@@ -110,12 +194,7 @@ def over_runs(f: Callable[[Epochs], Any], epochs: Epochs) -> Any:
 
 def check_every(every: Any) -> None:
     """Refuse rows that are no whole number of epochs apart."""
-    try:
-        whole = every == int(every) and every >= 1
-    except (TypeError, ValueError, OverflowError):
-        whole = False
-    if not whole or isinstance(every, str):
-        raise UserError(f"every = {every}: must be a whole number of epochs, at least 1")
+    whole_number("every", every, of="epochs", floats=True)
 
 
 def row_numbers(count: int, rows: Any) -> np.ndarray:
@@ -151,150 +230,3 @@ def strided_rows(count: int, rows: Any) -> tuple[int, tuple[int, ...] | None]:
     stride = int(np.gcd.reduce(numbers[numbers < last])) or max(last, 1)
     strided = row_numbers(count, stride)
     return stride, None if np.array_equal(strided, numbers) else tuple(np.searchsorted(strided, numbers).tolist())
-
-
-@partial(jax.jit, static_argnames=("every", "scheme"))
-def _rows(dtheta, dvel, dt, velocity, every: int, scheme: Scheme) -> Epoch:
-    moved = preintegrate(dtheta, dvel, every, scheme)
-    still = Increment(Quat.identity(), Vec3.zero())
-    rows = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), still, moved)
-    steps = jnp.concatenate([jnp.zeros(1), jnp.full(dtheta.shape[0] // every, every * dt)])
-    safe, valid = _known(velocity)
-    return Epoch(rows.rotation, rows.dvel, steps, safe, valid)
-
-
-def _host_rows(dtheta: np.ndarray, dvel: np.ndarray, dt: float, velocity: np.ndarray, every: int) -> Epoch:
-    """The same of recorded data by the scheme ``pairs``, on the host: nothing to compile."""
-    still = Increment(Quat(*np.eye(4)[:, :1]), Vec3(*np.zeros((3, 1))))
-    moved = joined([still, preintegrated(dtheta, dvel, every)])
-    steps = np.full(len(velocity), every * dt)
-    steps[0] = 0.0
-    valid = np.isfinite(velocity).all(axis=-1)
-    safe = Vec3(*np.where(valid, velocity.T, 0.0))
-    rows = Epoch(moved.rotation, moved.dvel, steps, safe, valid)  # pyright: ignore[reportArgumentType]
-    return jax.device_put(rows)
-
-
-_filtered = eqx.filter_jit(filtered_force)
-
-
-def _digits(seconds: float) -> float:
-    """Four of them: logs whose clocks differ in the seventh share a compiled program."""
-    return float(f"{float(seconds):.4g}")
-
-
-def check_prefilter(prefilter: AbstractPrefilter | None, aid: str) -> None:
-    """Refuse a prefilter for a moving vehicle.
-
-    Raises:
-        UserError: the aid is a velocity.
-    """
-    if prefilter is not None and aid != "static":
-        raise UserError(
-            f"a prefilter smooths the force of a standing vehicle; with a {aid!r} aid it would smooth the motion "
-            "itself away: leave it out"
-        )
-
-
-def epochs_from_arrays(
-    dtheta: Float[ArrayLike, "samples 3"],
-    dvel: Float[ArrayLike, "samples 3"],
-    velocity: Float[ArrayLike, "epochs 3"] | None,
-    *,
-    dt: float,
-    every: int,
-    site: Site,
-    aid: Aid,
-    aid_sd: float = 1.0,
-    scheme: Scheme = "pairs",
-    prefilter: AbstractPrefilter | None = None,
-) -> Epochs:
-    """Preintegrate arrays; pure and differentiable in all of them (for logs use :func:`epochs_from_log`).
-
-    Args:
-        dtheta: rotation increments, rad.
-        dvel: velocity increments, m/s.
-        velocity: of the aid at the epochs, m/s, NaN where missing; (samples // every + 1, 3); None: at rest.
-        dt: sampling interval, s.
-        every: samples per epoch.
-        site: where.
-        aid: what ``velocity`` is.
-        aid_sd: noise of the aid, m/s.
-        scheme: of the preintegration.
-        prefilter: low-pass filter of the specific force of a standing vehicle, before anything else.
-
-    Raises:
-        UserError: float32 input, an unknown kind of aid, or a prefilter with a velocity aid.
-    """
-    require_x64({"dtheta": dtheta, "dvel": dvel, "velocity": velocity, "site": site})
-    if aid not in get_args(Aid):
-        raise UserError(f"aid = {aid!r}: must be one of {', '.join(get_args(Aid))}")
-    if prefilter is not None:
-        check_prefilter(prefilter, aid)
-        dvel = _filtered(prefilter, dtheta, dvel, _digits(dt))
-    intervals = np.shape(dtheta)[0] // every  # nothing here is an operation of JAX: each would be compiled
-    if velocity is None:
-        velocity = np.zeros((intervals + 1, 3))
-    elif not isinstance(velocity, jax.Array):
-        velocity = np.asarray(velocity)
-    if len(velocity) != intervals + 1:
-        raise ValueError(f"{intervals} intervals need {intervals + 1} velocities, got {len(velocity)}")
-    if scheme == "pairs" and all(isinstance(x, np.ndarray) for x in (dtheta, dvel, velocity)):
-        rows = _host_rows(dtheta, dvel, dt, velocity, every)  # pyright: ignore[reportArgumentType]
-    else:
-        rows = _rows(dtheta, dvel, dt, velocity, every, scheme)
-    return Epochs(rows, site, as_float64(aid_sd), aid, _digits(every * dt), prefilter is not None)
-
-
-def epochs_from_log(
-    log: Log,
-    *,
-    interval_samples: int | None = None,
-    scheme: Scheme = "pairs",
-    static: bool = False,
-    prefilter: AbstractPrefilter | None = None,
-) -> Epochs:
-    """Preintegrate a log.
-
-    Args:
-        log: the checked log.
-        interval_samples: IMU samples per epoch; by default the log's own. With a velocity aid it must divide
-            the aid's interval: the epochs between two fixes have no aid.
-        scheme: of the preintegration.
-        static: take the vehicle as standing, whatever aid the log has.
-        prefilter: low-pass filter of the specific force, before anything else; standing vehicles only.
-
-    Raises:
-        UserError: float32, an ``interval_samples`` that does not fit, or a prefilter with a velocity aid.
-    """
-    require_x64()
-    every = interval_samples or log.aid_every
-    if every < 1 or len(log.dtheta) // every < 1:
-        raise UserError(
-            f"interval_samples = {every}: must be between 1 and the {len(log.dtheta)} samples of {log.name}"
-        )
-    if static or log.velocity is None:
-        velocity, aid = None, "static"
-    else:
-        velocity, aid = log.velocity, log.aid
-        if log.aid_every % every:
-            raise UserError(
-                f"interval_samples = {every} must divide the {log.aid_every} IMU samples between fixes of {log.name}"
-            )
-        if every != log.aid_every:
-            ratio = log.aid_every // every
-            velocity = np.full((log.epochs * ratio + 1, 3), np.nan)
-            velocity[::ratio] = log.velocity
-    used = (len(log.dtheta) if velocity is None else log.epochs * log.aid_every) // every * every
-    return epochs_from_arrays(
-        log.dtheta[:used],
-        log.dvel[:used],
-        velocity,
-        dt=log.dt,
-        every=every,
-        site=Site(log.lat, log.lon, log.h),
-        aid=aid,  # type: ignore[arg-type]
-        aid_sd=1.0 if log.aid_sd is None else log.aid_sd,
-        scheme=scheme,
-        prefilter=prefilter,
-    )

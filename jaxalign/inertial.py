@@ -12,7 +12,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.earth import earth_rate
 from jaxalign.epochs import Epochs
-from jaxalign.spread import Spread
+from jaxalign.observability import Observability
+from jaxalign.propagation import advance_body
 from jaxalign.vector import Quat, Vec3, mean_rotated, root
 
 __all__ = ["InertialRecord"]
@@ -44,19 +45,18 @@ class InertialRecord(eqx.Module):
         """From the epochs of a standing vehicle."""
         rows, site = epochs.rows, epochs.site
 
-        def attitude(q, rotation):
-            q = (q * rotation).renormalised()
-            return q, q
+        def advance(q, row):
+            q, gained = advance_body(q, row.rotation, row.dvel)
+            return q, (q, gained)
 
         def running(v: Vec3) -> Vec3:
             return jax.tree.map(jnp.cumsum, v)
 
-        q_b0b = jax.lax.scan(attitude, Quat.identity(), rows.rotation)[1]
-        before = jax.tree.map(lambda one, q: jnp.concatenate([one[None], q[:-1]]), Quat.identity(), q_b0b)
+        q_b0b, gained = jax.lax.scan(advance, Quat.identity(), rows)[1]
         time = jnp.cumsum(rows.dt)
         angle = earth_rate(site.lat) * time
         up = mean_rotated(angle, Vec3(0.0 * time, 0.0 * time, site.gravity * time))
-        beta = running(before.rotate(rows.dvel))
+        beta = running(gained)
         turned = rows.rotation.log()
         # An interval's dvel stands in b at its start; half the rotation back makes it the mean over the interval.
         force = Quat.exp(turned * -0.5).rotate(rows.dvel)
@@ -66,16 +66,16 @@ class InertialRecord(eqx.Module):
         """Some epochs of it."""
         return jax.tree.map(lambda x: x[index], self)
 
-    def _spread(self) -> Spread:
+    def _observability(self) -> Observability:
         steps = jax.tree.map(lambda x: jnp.diff(x, prepend=x[:1]), self.alpha)
-        return Spread.of(steps, np.arange(len(self.time)) > 0).cumulated()
+        return Observability.of(steps, np.arange(len(self.time)) > 0).cumulated()
 
     def observable(self, aid_sd: Any) -> Bool[Array, " epochs"]:
-        """Whether gravity has turned beyond the noise of the force, per epoch (:class:`jaxalign.spread.Spread`)."""
-        return self._spread().observable(aid_sd, steps=True)
+        """Whether gravity has turned beyond the noise of the force, per epoch: see :mod:`jaxalign.observability`."""
+        return self._observability().observable(aid_sd, steps=True)
 
     def heading_sd(self, aid_sd: Any) -> Float[Array, ""]:
         """What the turning of gravity over the whole record allows at best, rad; 1 where it has not turned."""
-        scatter = self._spread().scatter()[-1]
+        scatter = self._observability().scatter()[-1]
         turned = scatter > 0
         return jnp.where(turned, aid_sd / root(jnp.where(turned, scatter, 1.0)), 1.0)

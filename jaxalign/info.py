@@ -6,17 +6,14 @@ import math
 
 import numpy as np
 
+from jaxalign.aids import Standing
 from jaxalign.log import Log
+from jaxalign.measurements import Measurements
 from jaxalign.plausibility import median_force
 from jaxalign.wgs84 import EARTH_RATE, gravity
 
 __all__ = ["describe"]
 
-_AIDS = {
-    "static": "none: static",
-    "body": "velocity in the body frame (right-forward-up)",
-    "nav": "velocity in the navigation frame (ENU)",
-}
 _DEG_PER_HOUR = np.degrees(1.0) * 3600.0
 
 
@@ -29,17 +26,17 @@ def describe(log: Log) -> list[tuple[str, str]]:
     Returns:
         (label, value with its unit) in the order for reading, one "warning" line for each warning.
     """
-    interval = log.aid_every * log.dt
     rows = [
         ("name", log.name),
         ("IMU", f"{1 / log.dt:.6g} Hz, {len(log.dtheta)} samples"),
         ("duration", f"{log.duration:.6g} s from t = {log.t0:.9g} s"),
-        ("epochs", f"{log.epochs} intervals of {interval:.6g} s ({log.aid_every} samples)"),
+        ("epochs", f"{log.epochs} intervals of {log.interval:.6g} s ({log.epoch_samples} samples)"),
         ("site", _site(log)),
-        ("aid", _AIDS[log.aid]),
     ]
-    if log.velocity is not None:
-        rows += _aid(log, interval)
+    if log.standing:
+        rows.append(("aid", Standing().described))
+    for one in log.aids:
+        rows += _aid(log, one)
     return [
         *rows,
         *_inertial(log),
@@ -53,22 +50,49 @@ def _site(log: Log) -> str:
     return f"latitude {lat:.6f} deg, longitude {lon:.6f} deg, height {log.h:.1f} m"
 
 
-def _aid(log: Log, interval: float) -> list[tuple[str, str]]:
-    assert log.velocity is not None
-    missing = log.missing
+def _aid(log: Log, one: Measurements) -> list[tuple[str, str]]:
+    """An aid; where there are several the labels have its name."""
+    name = "aid" if len(log.aids) == 1 else one.name
+    missing = one.missing
     edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
     longest = int(np.diff(edges)[::2].max()) if len(edges) else 0
-    speed = np.linalg.norm(log.velocity[~missing], axis=1)
+    interval = float(np.median(np.diff(one.time))) if len(one.time) > 1 else log.interval
     gap = f", longest run {longest} ({longest * interval:g} s)" if longest else ""
-    noise = "not given" if log.aid_sd is None else f"{log.aid_sd:g} m/s per axis"
-    return [
-        ("aid samples missing", f"{int(missing.sum())} of {len(missing)}{gap}"),
-        (
-            "aid speed",
-            f"mean {speed.mean():.3f}, median {np.median(speed):.3f}, largest {speed.max():.3f} m/s",
-        ),
-        ("aid noise", noise),
-    ]
+    rows = [(name, one.aid.described)]
+    if not np.allclose(one.time, np.arange(len(one.time)) * interval + one.time[0], rtol=0, atol=1e-6 * log.dt):
+        steps = np.diff(one.time)
+        rows.append((f"{name} clock", f"{len(one.time)} samples, every {steps.min():g} to {steps.max():g} s"))
+    elif abs(interval - log.interval) > 1e-9:
+        rows.append((f"{name} clock", f"{len(one.time)} samples, every {interval:g} s"))
+    rows.append((f"{name} samples missing", f"{int(missing.sum())} of {len(missing)}{gap}"))
+    if one.velocity is not None:
+        speed = np.linalg.norm(one.velocity, axis=1)
+        speed = speed[np.isfinite(speed)]
+        text = f"mean {speed.mean():.3f}, median {np.median(speed):.3f}, largest {speed.max():.3f} m/s"
+        rows.append((f"{name} speed", text))
+    else:
+        for what, values in zip(one.aid.components, one.value.T, strict=True):
+            rows.append((f"{name} {what}".removesuffix(f" {name}"), _range(values, one.aid.unit)))
+    return [*rows, (f"{name} noise", _noise(one))]
+
+
+def _noise(one: Measurements) -> str:
+    sd, parts, unit = one.sd, one.aid.components, one.aid.unit
+    if sd is None:
+        return "not given"
+    if unit == "rad":
+        sd, unit = np.degrees(sd), "deg"
+    if np.ndim(sd):
+        return ", ".join(f"{what} {x:g}" for what, x in zip(parts, np.asarray(sd), strict=True)) + f" {unit}"
+    return f"{sd:g} {unit} per axis" if len(parts) > 1 else f"{sd:g} {unit}"
+
+
+def _range(values: np.ndarray, unit: str) -> str:
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return "never measured"
+    known, unit = (np.degrees(known), "deg") if unit == "rad" else (known, unit)
+    return f"from {known.min():.3f} to {known.max():.3f} {unit}"
 
 
 def _inertial(log: Log) -> list[tuple[str, str]]:

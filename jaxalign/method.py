@@ -1,6 +1,7 @@
 """The protocol of a method: from a log to epochs, from epochs to attitudes, and what a report says of them."""
 
 # No annotations from the future: equinox looks for abstract attributes among them, and finds none in text.
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -8,16 +9,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import equinox as eqx
 import numpy as np
 
-from jaxalign.epochs import Epochs, epochs_from_log, over_runs
+from jaxalign.aids import AbstractAid
+from jaxalign.epochs import Epochs, over_runs
 from jaxalign.errors import UserError
+from jaxalign.front_end import FrontEnd, check_prefilter, is_standing
 from jaxalign.inertial_unit import ImuErrors
 from jaxalign.log import Log
-from jaxalign.prefilter import AbstractPrefilter
 from jaxalign.solution import Solution
 
 __all__ = ["AbstractMethod"]
 
 _FEWEST = 3  # vectors to judge by
+_PLAIN = FrontEnd()
 
 
 class AbstractMethod(eqx.Module):
@@ -27,9 +30,8 @@ class AbstractMethod(eqx.Module):
     defaults.
 
     Attributes:
-        aid: the kind of aid that it observes: "static" (none: the vehicle stands), "body" or "nav".
-        interval_samples: IMU samples per epoch; None: as the log has it.
-        prefilter: low-pass filter of the specific force of a whole log of a standing vehicle; None: no filter.
+        aids: that it observes; :class:`jaxalign.Standing` alone where it takes the vehicle as standing.
+        front_end: makes its epochs of a log.
     """
 
     has_covariance: ClassVar[bool] = False
@@ -40,29 +42,37 @@ class AbstractMethod(eqx.Module):
     """Whether ``Solution.aid_sd`` is the noise that it found, not the noise that it was told."""
     judges_by_covariance: ClassVar[bool] = False
     """Whether its heading is observable where its standard deviation is small, not where the directions have opened."""
+    takes_components: ClassVar[bool] = False
+    """Whether it can use a velocity without all of its components."""
+    takes_prefilter: ClassVar[bool] = True
+    """Whether it aligns a standing vehicle behind a filter of the specific force, which colours the noise."""
     needs: ClassVar[str] = "two directions (log too short for its averaging?)"
     """What it takes to find an attitude, for people."""
 
     if TYPE_CHECKING:  # fields or properties of a subclass
 
         @property
-        def aid(self) -> str:
-            """See above."""
+        def aids(self) -> tuple[AbstractAid, ...]:
+            """The aids that it observes."""
             ...
 
         @property
-        def interval_samples(self) -> int | None:
+        def front_end(self) -> FrontEnd:
             """See above."""
             ...
 
-        @property
-        def prefilter(self) -> AbstractPrefilter | None:
-            """See above."""
-            ...
     else:
-        aid: eqx.AbstractVar[str]
-        interval_samples: eqx.AbstractVar[int | None]
-        prefilter: eqx.AbstractVar[AbstractPrefilter | None]
+        aids: eqx.AbstractVar[tuple[AbstractAid, ...]]
+        front_end: eqx.AbstractVar[FrontEnd]
+
+    def __check_init__(self):
+        if self.front_end.prefilter is not None:
+            check_prefilter(self.front_end.prefilter, self.aids)
+            if not self.takes_prefilter:
+                raise UserError(
+                    "a prefilter colours the noise, of which this method has a model of its own: leave the filter out, "
+                    "or take a method such as gravity_q"
+                )
 
     @staticmethod
     def checked(given: Any) -> "AbstractMethod":
@@ -72,7 +82,7 @@ class AbstractMethod(eqx.Module):
             UserError: it is something else.
         """
         if not isinstance(given, AbstractMethod):
-            raise UserError(f"{given!r} is no method: build one by name with jaxalign.methods.build('oba', aid='body')")
+            raise UserError(f"{given!r} is no method: build one by name with jaxalign.build('oba', aid='body')")
         return given
 
     @abstractmethod
@@ -95,19 +105,39 @@ class AbstractMethod(eqx.Module):
         Raises:
             UserError: float32, an aid that the method does not observe, or an interval that does not fit.
         """
-        standing = self.aid == "static"
-        if not standing and log.aid != self.aid:
-            raise UserError(
-                f"{log.name} has a {log.aid!r} aid, the method observes {self.aid!r}: build it with aid={log.aid!r}"
-            )
-        return epochs_from_log(log, interval_samples=self.interval_samples, static=standing, prefilter=self.prefilter)
+        for aid in self.aids:
+            seen = None if aid.implied else log.measured(aid)
+            if seen is not None and not self.takes_components and seen.velocity is None:
+                raise UserError(
+                    f"{log.name} has no whole velocity: {seen.name} is {seen.aid.described}, and the method needs all "
+                    "three components at once; robust_map takes what there is"
+                )
+        return self.front_end.epochs(log, self.aids, whole=not self.takes_components)
+
+    def with_front_end(self, front_end: FrontEnd) -> Self:
+        """The same with another one."""
+        return dataclasses.replace(self, front_end=front_end)
+
+    @property
+    def bare(self) -> Self:
+        """The same for epochs that are made: methods that differ in the front end alone share a program."""
+        return self if self.front_end == _PLAIN else self.with_front_end(_PLAIN)
+
+    @property
+    def standing(self) -> bool:
+        """Whether it takes the vehicle as standing."""
+        return is_standing(self.aids)
+
+    def at_interval(self, seconds: float | None) -> Self:
+        """The same for epochs so far apart (s; None: at unequal intervals); a method without windows is itself."""
+        return self
 
     def solve_runs(self, epochs: Epochs, rows: Any = 1) -> Solution:
         """Align many runs, see :func:`jaxalign.epochs.over_runs`."""
         return over_runs(lambda one: self.solve(one, rows), epochs)
 
     def with_imu(self, imu: ImuErrors) -> Self:
-        """The same with these figures of the inertial unit; a method that uses none is itself."""
+        """The method with these figures of the inertial unit; a method that uses none is itself."""
         return self
 
     @property

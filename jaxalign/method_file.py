@@ -6,8 +6,9 @@ import json
 import os
 from typing import Any, NamedTuple
 
+from jaxalign.aids import from_plain, plain
 from jaxalign.errors import UserError
-from jaxalign.io.files import existing_file, first_line, read_text, replacing
+from jaxalign.files import existing_file, first_line, read_text, replacing
 from jaxalign.methods import RECIPES, build
 from jaxalign.parametrization import parameters
 from jaxalign.prefilter import PREFILTERS
@@ -30,12 +31,12 @@ class Named(NamedTuple):
 
 
 def method_entries(name: str, method: Any) -> dict[str, Any]:
-    """What makes a method again, JSON-ready: recipe, aid, prefilter, parameters."""
-    prefilter = method.prefilter
+    """What makes a method again, JSON-ready: recipe, aids, prefilter, parameters."""
+    prefilter = method.front_end.prefilter
     names = [key for key, kind in PREFILTERS.items() if type(prefilter) is kind]
     return {
         "method": name,
-        "aid": method.aid,
+        "aids": [plain(aid) for aid in method.aids],
         "prefilter": names[0] if names else None,
         "parameters": parameters(method),
     }
@@ -67,13 +68,40 @@ def read_method(path: str | os.PathLike[str]) -> Named:
     text = read_text(existing_file(path, "method file (JSON)"))
     try:
         content = json.loads(text)
-        name, aid, prefilter, values = (content[key] for key in ("method", "aid", "prefilter", "parameters"))
-    except (ValueError, KeyError, TypeError) as error:
-        wrong = f"no JSON ({first_line(error)})" if isinstance(error, ValueError) else f"it has no entry {error}"
-        raise UserError(f"{path}: not a method file: {wrong}; `jaxalign tune ... --output FILE` writes one") from None
-    if name not in RECIPES or not isinstance(values, dict):
+    except ValueError as error:
+        raise UserError(_NO_FILE.format(path, f"no JSON ({first_line(error)})")) from None
+    name, aids, prefilter, values = _entries(path, content)
+    if name not in RECIPES:
         raise UserError(f"{path}: there is no method {name!r}: it was not made by a recipe of this version")
     try:
-        return Named(name, build(name, aid, values, prefilter), prefilter)
+        return Named(name, build(name, tuple(from_plain(aid) for aid in aids), values, prefilter), prefilter)
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
+
+
+_NO_FILE = "{}: not a method file: {}; `jaxalign tune ... --output FILE` writes one"
+
+
+def _entries(path: Any, content: Any) -> tuple[str, list[Any], str | None, dict[str, Any]]:
+    """What a file says, each of its type."""
+    if not isinstance(content, dict):
+        raise UserError(_NO_FILE.format(path, "it is no table of entries"))
+    if "aid" in content and "aids" not in content:
+        line = f'put "aids": [{{"kind": "{content["aid"]}"}}] in place of "aid"'
+        values = content.get("parameters")
+        if isinstance(values, dict) and values.get("calibrate") == "mounting":  # it was the scale too
+            line += ', and "calibrate": "scale,mounting" in place of "mounting"'
+        raise UserError(f"{path}: written by an older version: {line}")
+    out = []
+    for key, kind, what in (
+        ("method", str, "a name"),
+        ("aids", list, "a list of aids"),
+        ("prefilter", str | None, "a name or null"),
+        ("parameters", dict, "a table of numbers"),
+    ):
+        if key not in content:
+            raise UserError(_NO_FILE.format(path, f"it has no entry {key!r}"))
+        if not isinstance(content[key], kind):
+            raise UserError(f"{path}: {key} is {content[key]!r}: {what} is expected")
+        out.append(content[key])
+    return tuple(out)

@@ -8,7 +8,7 @@ from jaxalign.host import attitude_error, quat_from_dcm
 from jaxalign.log import Log
 from jaxalign.solution import Solution
 
-__all__ = ["attitude_error_deg", "reference_at"]
+__all__ = ["attitude_error_deg", "component_rms", "reference_at"]
 
 
 def reference_at(log: Log, time: np.ndarray) -> np.ndarray | None:
@@ -23,7 +23,7 @@ def reference_at(log: Log, time: np.ndarray) -> np.ndarray | None:
     """
     if log.C_nb is None:
         return None
-    index = np.asarray(time) / (log.aid_every * log.dt)
+    index = np.asarray(time) / (log.epoch_samples * log.dt)
     nearest = np.clip(np.round(index).astype(int), 0, log.epochs)
     out = log.C_nb[nearest].copy()
     out[np.abs(index - nearest) > 1e-6 * np.maximum(nearest, 1)] = np.nan
@@ -43,3 +43,16 @@ def attitude_error_deg(solution: Solution, log: Log) -> np.ndarray | None:
     phi = np.rad2deg(attitude_error(np.asarray(solution.q_nb), quat_from_dcm(safe)))
     phi[~known] = np.nan
     return phi
+
+
+def component_rms(residual: np.ndarray) -> np.ndarray:
+    """Root mean square of each fix's residuals over the components that it has.
+
+    Args:
+        residual: (K, m), exactly zero for a component that is missing.
+
+    Returns:
+        (K,); zero where all are missing.
+    """
+    there = np.maximum(np.sum(residual != 0, axis=1), 1)
+    return np.linalg.norm(residual, axis=1) / np.sqrt(there)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,8 +14,19 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxalign.errors import UserError, close_names
+from jaxalign.renamed import check_renamed
 
-__all__ = ["as_float64", "parameters", "tunable", "tunables", "with_parameters"]
+__all__ = [
+    "Numbers",
+    "as_float64",
+    "given",
+    "optional_count",
+    "parameters",
+    "tunable",
+    "tunables",
+    "with_parameters",
+    "words",
+]
 
 T = TypeVar("T")
 
@@ -27,15 +38,78 @@ def as_float64(value: Any) -> jax.Array:
     return jax.device_put(np.array(value, np.float64))  # jnp.asarray compiles a program for each shape
 
 
-def tunable(default: float, *, unit: str, bounds: tuple[float, float]) -> Any:
+def _number(value: Any) -> jax.Array | None:
+    """What a tunable field holds."""
+    if value is None:
+        return None
+    try:
+        return as_float64(value)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"expected a number or a list of numbers, got {value!r}") from error
+
+
+def tunable(default: float | None, *, unit: str, bounds: tuple[float, float], axes: bool = False) -> Any:
     """A field that is a number to tune: converted to an array leaf, so that it is traced and differentiated.
 
     Args:
-        default: the value where none is given.
+        default: the value where none is given; None: by default there is no such number.
         unit: for people ("1", "m/s", "s", ...).
         bounds: the sensible range; setting a value outside is refused by :func:`with_parameters`.
+        axes: it may also be three numbers, one per axis.
     """
-    return eqx.field(converter=as_float64, default=default, metadata={"unit": unit, "bounds": bounds})
+    optional = default is None
+    metadata = {"unit": unit, "bounds": bounds, "axes": axes, "optional": optional}
+    return eqx.field(converter=_number if optional or axes else as_float64, default=default, metadata=metadata)
+
+
+def given(default: Any) -> Any:
+    """A static field that a recipe or the data fill in: no parameter to set."""
+    return eqx.field(static=True, default=default, metadata={"given": True})
+
+
+def optional_count() -> Any:
+    """A static field holding a whole number or None."""
+    return eqx.field(static=True, default=None, metadata={"optional": True, "integer": True})
+
+
+class _Field(NamedTuple):
+    """As much of a field as is asked for."""
+
+    metadata: Mapping[str, Any]
+
+
+class Numbers(eqx.Module):
+    """Numbers to tune whose names are not known beforehand, set by path as the fields of a module are.
+
+    Attributes:
+        values: by name; a name may hold dots.
+        specs: name, unit and bounds of each (static).
+    """
+
+    values: dict[str, jax.Array]
+    specs: tuple[tuple[str, str, tuple[float, float]], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, specs: Iterable[tuple[str, float, str, tuple[float, float]]], given: Numbers | None = None) -> Numbers:
+        """From name, value, unit and bounds of each; values that are given already stay."""
+        known = {} if given is None else given.values
+        values, kept = {}, []
+        for name, value, unit, bounds in specs:
+            values[name] = known[name] if name in known else as_float64(value)
+            kept.append((name, unit, bounds))
+        return cls(values, tuple(kept))
+
+    def __getitem__(self, name: str) -> jax.Array:
+        return self.values[name]
+
+    def fields(self) -> Iterator[tuple[str, jax.Array, _Field]]:
+        """Name, value, and what there is to know of it."""
+        for name, unit, bounds in self.specs:
+            yield name, self.values[name], _Field({"unit": unit, "bounds": bounds})
+
+    def with_value(self, name: str, value: Any) -> Numbers:
+        """A copy with one of them set."""
+        return Numbers({**self.values, name: value}, self.specs)
 
 
 def _fields(module: Any, prefix: str = "") -> Iterator[tuple[str, Any, dataclasses.Field]]:
@@ -45,9 +119,15 @@ def _fields(module: Any, prefix: str = "") -> Iterator[tuple[str, Any, dataclass
         path = f"{prefix}{field.name}"
         if (value is None and field.metadata.get("slot")) or field.metadata.get("given"):
             continue  # an empty slot has nothing to set, and what a recipe is built for stays
-        if isinstance(value, eqx.Module):
+        if isinstance(value, Numbers):
+            for name, number, known in value.fields():
+                yield f"{path}.{name}", number, known  # pyright: ignore[reportReturnType]
+        elif isinstance(value, eqx.Module):
             hidden = field.metadata.get("hides", ())
-            yield from (x for x in _fields(value, f"{path}.") if x[0].removeprefix(f"{path}.") not in hidden)
+            for found in _fields(value, f"{path}."):
+                own = found[0].removeprefix(f"{path}.")
+                if not any(own == name or own.startswith(f"{name}.") for name in hidden):
+                    yield found
         else:
             yield path, value, field
 
@@ -56,7 +136,9 @@ def parameters(method: Any) -> dict[str, Any]:
     """Paths and values of everything that can be set in a method, as plain Python values (JSON-ready)."""
     out = {}
     for path, value, _ in _fields(method):
-        out[path] = np.asarray(value).tolist() if isinstance(value, jax.Array | np.ndarray) else value
+        if isinstance(value, jax.Array | np.ndarray):
+            value = np.asarray(value).tolist()
+        out[path] = list(value) if isinstance(value, tuple) else value
     return out
 
 
@@ -78,16 +160,24 @@ def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:
         if not isinstance(value, bool):
             raise refuse("must be true or false")
         return value
-    if isinstance(value, Tracer) and isinstance(old, jax.Array):
+    tuned = "bounds" in field.metadata or isinstance(old, jax.Array)
+    if isinstance(value, Tracer) and tuned:
         return as_float64(value)  # its bounds cannot be checked
-    if isinstance(old, jax.Array):
-        numbers = _numbers(value)
-        if numbers is None or numbers.shape != old.shape:
-            raise refuse("must be a number" + (f" (array of shape {old.shape})" if old.ndim else ""))
+    if tuned:
+        numbers, axes = _numbers(value), field.metadata.get("axes")
+        shapes = ((), (3,)) if axes else (np.shape(old),)
+        if numbers is None or numbers.shape not in shapes:
+            of_shape = f" (array of shape {np.shape(old)})" if np.ndim(old) else ""
+            raise refuse("must be a number" + (", or three, one per axis" if axes else of_shape))
         low, high = field.metadata.get("bounds", (-np.inf, np.inf))
         if not np.all((numbers >= low) & (numbers <= high)):
             raise refuse(f"outside its bounds {low:g} .. {high:g} {field.metadata.get('unit', '')}".rstrip())
         return as_float64(numbers)
+    if isinstance(old, tuple):
+        named = words(text)
+        if named is None:
+            raise refuse("must be words, with commas between them, or none")
+        return named
     if isinstance(old, str):
         if not isinstance(text, str):
             raise refuse("must be a word")
@@ -101,6 +191,16 @@ def _parse(path: str, text: Any, old: Any, field: dataclasses.Field) -> Any:
     if not float(number).is_integer() or abs(float(number)) >= 2**63:
         raise refuse("must be a whole number")
     return int(number)
+
+
+def words(given: Any) -> tuple[str, ...] | None:
+    """Words as typed ("latency,lever", "none") or as a list; None if they are no words."""
+    if isinstance(given, str):
+        read = _read(given)
+        given = read if isinstance(read, list) else [] if read is None else given.split(",")
+    if not isinstance(given, tuple | list) or not all(isinstance(word, str) for word in given):
+        return None
+    return tuple(word.strip() for word in given if word.strip())
 
 
 def _read(text: str) -> Any:
@@ -122,7 +222,7 @@ def _numbers(value: Any) -> np.ndarray | None:
 
 
 def with_parameters(method: T, values: Mapping[str, Any]) -> T:
-    """A copy of a method with some fields set, by path ("weight.gamma", "observe.window", ...).
+    """A copy of a method with some fields set, by path ("weight.threshold", "observe.window", ...).
 
     Args:
         method: an aligner or any nest of modules.
@@ -134,8 +234,9 @@ def with_parameters(method: T, values: Mapping[str, Any]) -> T:
     known = {path: (value, field) for path, value, field in _fields(method)}
     for path, text in values.items():
         if path not in known:
-            slot = path.partition(".")[0]
-            if slot != path and vars(method).get(slot, "") is None:
+            check_renamed(path, known)
+            slot = _empty_slot(method, path.split(".")[:-1])
+            if slot is not None:
                 raise UserError(f"{path}: there is no {slot} to set: choose one first (--{slot} NAME)")
             near = close_names(path, known) or sorted(known)
             raise UserError(f"no parameter {path!r} in this method: did you mean {', '.join(near)}?")
@@ -144,8 +245,19 @@ def with_parameters(method: T, values: Mapping[str, Any]) -> T:
     return method
 
 
+def _empty_slot(module: Any, names: list[str]) -> str | None:
+    """The first of these fields, one within the other, that holds nothing; None: there is none such."""
+    for name in names:
+        module = vars(module).get(name, "") if hasattr(module, "__dict__") else ""
+        if module is None:
+            return name
+    return None
+
+
 def _replace(module: Any, names: list[str], value: Any) -> Any:
     """Rebuild the modules along a path, so that their own checks run on the new value."""
+    if isinstance(module, Numbers):
+        return module.with_value(".".join(names), value)
     head, *rest = names
     new = _replace(getattr(module, head), rest, value) if rest else value
     try:

@@ -120,7 +120,7 @@ def check_gyro_units(
     dt: float,
     lat: float,
     course_velocity: np.ndarray | None,
-    aid_every: int,
+    epoch_samples: int,
     standing: bool,
 ) -> None:
     """Refuses gyroscope data that are 57.3 times too large or too small, where that can be known.
@@ -132,7 +132,7 @@ def check_gyro_units(
         dt: sampling interval, s.
         lat: latitude, rad.
         course_velocity: (M+1, 3) velocities in n, m/s, or None.
-        aid_every: IMU samples per epoch of `course_velocity`.
+        epoch_samples: IMU samples per epoch of `course_velocity`.
         standing: whether the vehicle is known to stand.
 
     Raises:
@@ -142,7 +142,7 @@ def check_gyro_units(
     if standing:
         factor, witness = _standing(dtheta, dvel, dt, lat), "the Earth's rotation on a standing vehicle"
     if factor == 1.0 and course_velocity is not None:
-        evidence = _turning(dtheta, dvel, dt, course_velocity, aid_every)
+        evidence = _turning(dtheta, dvel, dt, course_velocity, epoch_samples)
         factor, witness = _verdict(evidence), "the change of course of the velocity aid"
     if factor == 1.0:
         factor, witness = _verdict(_tilting(dtheta, dvel, dt)), "the tilting that the accelerometers see"
@@ -214,11 +214,11 @@ def _smooth(x: np.ndarray, window: np.ndarray, hop: int) -> np.ndarray:
 
 
 def _turning(
-    dtheta: np.ndarray, dvel: np.ndarray, dt: float, velocity: np.ndarray, aid_every: int
+    dtheta: np.ndarray, dvel: np.ndarray, dt: float, velocity: np.ndarray, epoch_samples: int
 ) -> Iterator[tuple[float, float]]:
     """Correlation and size ratio of the change of course and the rotation about the vertical, over 1 s."""
-    stride = max(1, round(1.0 / (aid_every * dt)))
-    v, n = velocity[::stride], aid_every * stride
+    stride = max(1, round(1.0 / (epoch_samples * dt)))
+    v, n = velocity[::stride], epoch_samples * stride
     m = len(v) - 1
     if m < 1:
         return

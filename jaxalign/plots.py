@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxalign.errors import UserError
 from jaxalign.log import Log
-from jaxalign.metrics import attitude_error_deg, reference_at
+from jaxalign.metrics import attitude_error_deg, component_rms, reference_at
 from jaxalign.rotation import euler_from_dcm
 from jaxalign.solution import Solution, Status
 
@@ -137,16 +137,7 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
             axes[4].semilogy(time, sd[:, 2], "--", color=GREY, label="its own sd")
             axes[3].plot(time, np.hypot(sd[:, 0], sd[:, 1]) / np.sqrt(2), "--", color=GREY, label="its own sd")
         last = 5
-    used = (numbers["weight"] > 0) & ((numbers["status"] & Status.UNDEFINED) == 0)
-    size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
-    axes[last].semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
-    axes[last].axhline(
-        float(numbers["aid_sd"][-1]),
-        color=GREY,
-        linestyle=":",
-        label=f"white noise\n{float(numbers['aid_sd'][-1]):.2g} m/s",
-    )
-    axes[last].set_ylabel("residual (m/s)")
+    _residuals(axes[last], time, solution, numbers)
     axes[last].set_xlabel("time (s)")
     _shade_unobservable(axes, solution, time)
     for axis in axes:
@@ -154,6 +145,25 @@ def attitude(solution: Solution, log: Log, title: str = "") -> Figure:
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     figure.suptitle(title or log.name)
     return figure
+
+
+def _residuals(axis: Any, time: np.ndarray, solution: Solution, numbers: dict[str, np.ndarray]) -> None:
+    """Of one velocity in m/s; of several aids, or of single components, in standard deviations."""
+    defined = (numbers["status"] & Status.UNDEFINED) == 0
+    if any(f"{name}_residual" in numbers for name in solution.aids):
+        for name in solution.aids:
+            value, weight, sd = (numbers[f"{name}_{key}"] for key in ("residual", "weight", "sd"))
+            size = component_rms(value) / sd
+            used = defined & (weight > 0) & (size > 0)
+            axis.semilogy(time, np.where(used, size, np.nan), ".", markersize=3, label=f"{name}\nper component")
+        axis.axhline(1.0, color=GREY, linestyle=":")
+        axis.set_ylabel("residual\n(standard deviations)")
+        return
+    used, sd = defined & (numbers["weight"] > 0), float(numbers["aid_sd"][-1])
+    size = np.where(used, np.linalg.norm(numbers["residual"], axis=1), np.nan)
+    axis.semilogy(time, np.maximum(size, 1e-9), ".", markersize=3, label="|residual|")
+    axis.axhline(sd, color=GREY, linestyle=":", label=f"white noise\n{sd:.2g} m/s")
+    axis.set_ylabel("residual (m/s)")
 
 
 def compare(solutions: dict[str, Solution], log: Log, title: str = "") -> Figure:

@@ -11,22 +11,19 @@ Schemes, with th, dv the increments of a sample and V(th) = I + (1 - cos|th|)/|t
     two-sample coning and sculling, phi = th1 + th2 + 2/3 th1 x th2 and
     V(th1 + th2)(dv1 + dv2) + 2/3 (th1 x dv2 + dv1 x th2), exact to third order in the sampling interval; an odd
     last sample of an interval is taken with look-back. Closes to 6e-8 deg and 2e-7 m/s over 300 s.
-``pairs_series``
-    pairs with V cut after th x (th x), as the frozen reference results of the swaying base have it.
 ``lookback``
     one sample and its predecessor: phi = th + th_ x th / 12, V(th) dv + (th_ x dv + dv_ x th) / 12.
-``interval``
-    the two-sample formula over the two halves of the whole interval, with the coning term (Wu 2013).
-``interval_plain``
-    Xu 2020 (15), (17) as printed: rotation as the plain sum, velocity to first order. For the record: a 10 deg
-    sway at 0.15 Hz makes it drift by 35 deg in 300 s at 1 s intervals.
+a function
+    (th, dv) of the samples of one interval (first axis; the intervals are lanes) -> Increment, as those of the papers
+    in :mod:`jaxalign.published.preintegration`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -35,9 +32,17 @@ from jaxtyping import Array, Complex, Float
 
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
-__all__ = ["Increment", "Scheme", "integrated", "pair", "paired", "preintegrate", "single"]
-
-Scheme = Literal["pairs", "pairs_series", "lookback", "interval", "interval_plain"]
+__all__ = [
+    "NAMED_SCHEMES",
+    "Increment",
+    "Scheme",
+    "integrated",
+    "middle_attitudes",
+    "pair",
+    "paired",
+    "preintegrate",
+    "single",
+]
 
 
 class Increment(eqx.Module):
@@ -66,10 +71,8 @@ class Increment(eqx.Module):
         return Increment(half * self.rotation * half, self.dvel - gained - turn.cross(self.dvel) * 0.5)
 
 
-def _mean_rotated_series(rotvec: Vec3, v: Vec3) -> Vec3:
-    """:func:`mean_rotated` to second order in the rotation."""
-    turned = rotvec.cross(v)
-    return v + turned * 0.5 + rotvec.cross(turned) * (1 / 6)
+Scheme = Literal["pairs", "lookback"] | Callable[[Vec3, Vec3], Increment]
+NAMED_SCHEMES = ("pairs", "lookback")
 
 
 def pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated, terms: int = 14) -> Increment:
@@ -77,12 +80,6 @@ def pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3, turned=mean_rotated, terms:
     total = th1 + th2
     dvel = turned(total, dv1 + dv2) + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3)
     return Increment(Quat.turn(total + th1.cross(th2) * (2 / 3), terms=terms), dvel)
-
-
-def _plain_pair(th1: Vec3, dv1: Vec3, th2: Vec3, dv2: Vec3) -> Increment:
-    """Xu 2020 (15) and (17): no coning term, rotation of the velocity increment to first order."""
-    th, dv = th1 + th2, dv1 + dv2
-    return Increment(Quat.turn(th), dv + th.cross(dv) * 0.5 + (th1.cross(dv2) + dv1.cross(th2)) * (2 / 3))
 
 
 def single(before: tuple[Vec3, Vec3], th: Vec3, dv: Vec3) -> Increment:
@@ -166,6 +163,22 @@ def integrated(th: Vec3, dv: Vec3, turned: Any = mean_rotated) -> Increment:
     return total
 
 
+def middle_attitudes(th: Vec3) -> Quat:
+    """Attitudes at the middle of each sample, against that at the start of the first one.
+
+    Args:
+        th: rotation increments, rad; samples on the first axis, any lanes behind.
+    """
+
+    def turn(q: Quat, half: Quat) -> tuple[Quat, Quat]:
+        middle = q * half
+        return (middle * half).renormalised(), middle
+
+    halves = Quat.turn(th * 0.5)
+    start = jax.tree.map(lambda one, x: jnp.broadcast_to(one, x.shape[1:]), Quat.identity(), halves)
+    return jax.lax.scan(turn, start, halves)[1]
+
+
 def preintegrate(
     dtheta: Float[Array, "samples 3"],
     dvel: Float[Array, "samples 3"],
@@ -183,10 +196,13 @@ def preintegrate(
     Returns:
         Increments with components of shape (samples // every,).
 
-    Source: Xu 2017 (002) front end as repaired in its verification; Xu 2020 (000) (15)-(18) for the plain form.
+    Raises:
+        ValueError: an unknown scheme.
+
+    Source: Xu 2017 (002) front end as repaired in its verification.
     """
-    if scheme not in get_args(Scheme):
-        raise ValueError(f"unknown scheme {scheme!r}: one of {', '.join(get_args(Scheme))}")
+    if not callable(scheme) and scheme not in NAMED_SCHEMES:
+        raise ValueError(f"unknown scheme {scheme!r}: one of {', '.join(NAMED_SCHEMES)}, or a function")
     intervals = dtheta.shape[0] // every
     used = intervals * every
 
@@ -203,15 +219,6 @@ def preintegrate(
 
         return jax.tree.map(shift, (th, dv))
 
-    if scheme == "lookback" or (scheme.startswith("pairs") and every == 1):
-        return _compose(single(lookback(), th, dv))
-    if scheme.startswith("pairs"):
-        return integrated(th, dv, mean_rotated if scheme == "pairs" else _mean_rotated_series)
-    half = every // 2
-    if 2 * half != every:
-        raise ValueError(f"scheme {scheme!r} halves the interval: {every} samples cannot be halved")
-    first, second = (
-        jax.tree.map(lambda x, a=a, b=b: x[a:b].sum(axis=0), (th, dv)) for a, b in ((0, half), (half, every))
-    )
-    whole = (pair if scheme == "interval" else _plain_pair)(*first, *second)
-    return Increment(whole.rotation.unit(), whole.dvel)
+    if callable(scheme):
+        return scheme(th, dv)
+    return _compose(single(lookback(), th, dv)) if scheme == "lookback" or every == 1 else integrated(th, dv)

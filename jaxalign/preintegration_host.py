@@ -13,7 +13,7 @@ import numpy as np
 from jaxalign.preintegration import Increment, pair, single
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["joined", "preintegrated"]
+__all__ = ["joined", "preintegrated", "preintegrated_between"]
 
 _AT_ONCE = 50_000  # samples: what they need stays in the processor's cache
 
@@ -35,6 +35,66 @@ def preintegrated(dtheta: np.ndarray, dvel: np.ndarray, every: int) -> Increment
     whole = joined(parts)
     rotation = whole.rotation
     return Increment(rotation.scale(1.0 / np.sqrt(rotation.norm2())), whole.dvel)
+
+
+def preintegrated_between(dtheta: np.ndarray, dvel: np.ndarray, at: np.ndarray) -> Increment:
+    """Preintegrate samples on the host over intervals of any length.
+
+    A boundary within a sample splits it linearly: a constant rate and force within that sample.
+
+    Args:
+        dtheta: (N, 3) rotation increments, rad.
+        dvel: (N, 3) velocity increments, m/s.
+        at: (K+1,) boundaries in samples, increasing, within 0..N.
+
+    Returns:
+        Increments with NumPy components of shape (K,).
+    """
+    first, last = np.ceil(at[:-1]).astype(int), np.floor(at[1:]).astype(int)
+    within = last < first  # both boundaries lie in one sample
+    before = np.where(within, at[1:] - at[:-1], first - at[:-1])
+    after = np.where(within, 0.0, at[1:] - last)
+    head = _share(dtheta, dvel, np.floor(at[:-1]).astype(int), before)
+    tail = _share(dtheta, dvel, last, after)
+    whole = _none(len(first))
+    counts = np.where(within, 0, last - first)
+    for count in np.unique(counts[counts > 0]):  # few lengths: intervals of one are lanes
+        lanes = np.flatnonzero(counts == count)
+        if count == 1:
+            _put(whole, lanes, _alone(dtheta, dvel, first[lanes]))
+            continue
+        for some in np.array_split(lanes, max(1, len(lanes) * int(count) // _AT_ONCE)):
+            index = (first[some][:, None] + np.arange(count)).ravel()
+            _put(whole, some, preintegrated(dtheta[index], dvel[index], int(count)))
+    total = head @ whole @ tail
+    return Increment(total.rotation.scale(1.0 / np.sqrt(total.rotation.norm2())), total.dvel)
+
+
+def _none(count: int) -> Increment:
+    zero = np.zeros(count)
+    return Increment(Quat(zero + 1.0, *(zero.copy() for _ in range(3))), Vec3(*(zero.copy() for _ in range(3))))
+
+
+def _put(into: Increment, lanes: np.ndarray, part: Increment) -> None:
+    """Put increments into lanes of others, in place."""
+    for vector, new, names in ((into.rotation, part.rotation, "wxyz"), (into.dvel, part.dvel, "xyz")):
+        for name in names:
+            getattr(vector, name)[lanes] = getattr(new, name)
+
+
+def _alone(dtheta: np.ndarray, dvel: np.ndarray, index: np.ndarray) -> Increment:
+    """Single samples, with the one before each."""
+    before, there = np.maximum(index - 1, 0), (index > 0)[:, None]
+    th, dv, th_, dv_ = (Vec3(*x.T) for x in (dtheta[index], dvel[index], dtheta[before] * there, dvel[before] * there))
+    return single((th_, dv_), th, dv)
+
+
+def _share(dtheta: np.ndarray, dvel: np.ndarray, index: np.ndarray, share: np.ndarray) -> Increment:
+    """Of one sample for each interval so much (0..1), its rate and force constant."""
+    index = np.minimum(index, len(dtheta) - 1)
+    th, dv = (Vec3(*(x[index] * share[:, None]).T) for x in (dtheta, dvel))
+    nothing = Vec3(*np.zeros((3, len(index))))
+    return single((nothing, nothing), th, dv)
 
 
 def _part(dtheta: np.ndarray, dvel: np.ndarray, every: int, first: int, stop: int) -> Increment:
@@ -75,7 +135,7 @@ def _composed(samples: Increment) -> Increment:
 
 
 def _at(increment: Increment, where: Any) -> Increment:
-    """Its part along the first axis."""
+    """The part of an increment along the first axis."""
     q, v = increment.rotation, increment.dvel
     return Increment(Quat(q.w[where], q.x[where], q.y[where], q.z[where]), Vec3(v.x[where], v.y[where], v.z[where]))
 

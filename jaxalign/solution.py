@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntFlag
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -13,9 +15,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.errors import UserError
 from jaxalign.host import dcm_from_quat, euler_covariance, euler_from_quat, heading_deg
+from jaxalign.nav_estimate import Block, NavEstimate
 from jaxalign.vector import root
 
-__all__ = ["FilterRecord", "Solution", "Status", "check_threshold", "status_bits"]
+__all__ = ["AidRecord", "FilterRecord", "Solution", "Status", "assembled", "check_threshold"]
 
 
 class Status(IntFlag):
@@ -37,7 +40,7 @@ class Status(IntFlag):
     """The covariance leaves something out that matters here: take it as a hint."""
 
 
-def status_bits(*, defined: Any, observable: Any, aided: Any, finite: Any, unused: Any = False, xp: Any = jnp) -> Any:
+def _status_bits(*, defined: Any, observable: Any, aided: Any, finite: Any, unused: Any = False, xp: Any = jnp) -> Any:
     """``Solution.status`` of rows.
 
     Args:
@@ -68,19 +71,35 @@ def check_threshold(heading_sd_deg: float) -> None:
         raise UserError(f"the heading's standard deviation cannot fall below {heading_sd_deg} deg")
 
 
+class AidRecord(eqx.Module):
+    """What a method made of one aid.
+
+    Attributes:
+        residual: (K, m) of the fix of this epoch: measured minus predicted, in the unit of the aid (``robust_map``: its
+            noise, smoothed; a recursion of vectors: of the vector, n0).
+        weight: (K,) of that fix.
+        sd: (K,) standard deviation of its noise: assumed, or found by a method that does so.
+        valid: (K,) whether there is a fix.
+    """
+
+    residual: Float[Array, "*K m"]
+    weight: Float[Array, "*K"]
+    sd: Float[Array, "*K"]
+    valid: Bool[Array, "*K"]
+
+
 class FilterRecord(eqx.Module):
     """What a filter with an error model tells beside the attitude.
 
     Attributes:
         gyro_bias: (K, 3) rad/s, b.
         accel_bias: (K, 3) m/s^2, b.
-        covariance: (K, n, n) of its error states, SI.
+        covariance: (K, n, n) of its error states, SI (``Solution.nav`` names them).
         innovation: (K, m) measured minus predicted at this epoch; zero where there was no update. None: no filter.
         innovation_covariance: (K, m, m), or None.
         updated: (K,) 1 where there was an update, else 0; or None.
         log_likelihood: (K,) of the measurements up to this epoch by the model, but for a constant; or None.
-        calibration: (K, m) of the aid, as ``RobustMap.calibrate`` has it: scale factor, misalignment (rad, b), latency
-            (s), lever arm (m, b); or None.
+        calibration: (K, m) unknowns of the aids, SI; ``method.unknowns`` says which are where; or None.
     """
 
     gyro_bias: Float[Array, "*K 3"]
@@ -106,8 +125,8 @@ class Solution(eqx.Module):
         defined: (K,) whether the attitude is unique.
         observable: (K,) whether the directions have opened beyond the noise, so that the heading begins to mean
             something (some 20 deg rms where the flag turns, 40 deg in single runs); see
-            :class:`jaxalign.spread.Spread`. It knows nothing of
-            sensor biases or of a disturbance that is not white.
+            :class:`jaxalign.observability.Observability`. It knows nothing of sensor biases or of a disturbance that is
+            not white.
         eigengap: (K,) relative gap of the 4x4 problem (0 where the method has none); it measures aid noise early on.
         residual: (K, 3) ``alpha - C_n0b0 beta`` of the pair of this epoch with this attitude, m/s, in n0
             (``robust_map``: the noise of its fix).
@@ -119,6 +138,10 @@ class Solution(eqx.Module):
         status: (K,) bits, see :class:`Status`.
         aid_sd: (K,) the aid's noise that was assumed (``robust_map``: found), m/s.
         filter: biases, covariance and innovations of ``robust_map`` and ``fine``; else None.
+        nav: navigation state, unknowns and joint covariance, for whoever goes on from here, of a method that has a
+            covariance; else None.
+        aids: name -> what was made of each aid (``residual``, ``weight`` and ``aid_sd`` are those of the first that
+            tells a velocity).
     """
 
     time: Float[Array, "*K"]
@@ -134,6 +157,8 @@ class Solution(eqx.Module):
     status: Int[Array, "*K"]
     aid_sd: Float[Array, "*K"]
     filter: FilterRecord | None = None
+    aids: dict[str, AidRecord] = eqx.field(default_factory=dict)
+    nav: NavEstimate | None = None
 
     def _masked(self, values: ArrayLike) -> np.ndarray:
         out = np.array(values)
@@ -211,4 +236,97 @@ class Solution(eqx.Module):
             for name in ("innovation", "innovation_covariance", "log_likelihood", "calibration"):
                 if (values := getattr(self.filter, name)) is not None:
                     out[name] = self._masked(values)
+        if self.nav is not None:
+            out |= {key: self._masked(getattr(self.nav, key)) for key in ("velocity", "position")}
+            sizes = {name: stop - start for name, start, stop in self.nav.blocks}
+            out["covariance_names"] = np.repeat(list(sizes), list(sizes.values()))
+        if len(self.aids) > 1 or any(aid.residual.shape[-1] != 3 for aid in self.aids.values()):
+            for name, aid in self.aids.items():
+                out[f"{name}_residual"] = self._masked(aid.residual)
+                out |= {f"{name}_{key}": np.asarray(getattr(aid, key)) for key in ("weight", "sd", "valid")}
         return out
+
+
+def assembled(
+    *,
+    time: Any,
+    q_nb: Any,
+    defined: Any,
+    observable: Any,
+    finite: Any,
+    aided: Any,
+    residual: Any,
+    weight: Any,
+    alpha: Any,
+    beta: Any,
+    aid_sd: Any,
+    aids: dict[str, tuple[Any, Any, Any, Any]],
+    eigengap: Any = 0.0,
+    covariance: Any = None,
+    filter: dict[str, Any] | None = None,
+    nav: dict[str, Any] | None = None,
+    blocks: tuple[Block, ...] = (),
+    unused: Any = False,
+    status: Any = 0,
+    xp: Any = jnp,
+    put: Callable[[Any], Any] = lambda tree: tree,
+) -> Solution:
+    """A solution of one row or many: where there is no attitude, the identity and zeros; and the bits.
+
+    Args:
+        time: see :class:`Solution`; likewise those below that are not named here.
+        q_nb: any where not ``defined``.
+        defined: whether there is an attitude; not where the numbers are not finite.
+        observable: whether the heading means something, where there is one.
+        finite: whether all numbers are.
+        aided: whether an aid has a sample at this epoch.
+        unused: whether it has one, but nothing came of it.
+        status: further bits.
+        residual: any where not ``defined``; likewise covariance and filter.
+        weight: of the vector.
+        alpha: the vector in n0.
+        beta: the vector in b0.
+        aid_sd: noise of the aid.
+        aids: name -> residual, weight, sd, validity (:class:`AidRecord`).
+        eigengap: of a method that has one.
+        covariance: of the attitude, if known.
+        filter: fields of a :class:`FilterRecord`, or None.
+        nav: fields of a :class:`NavEstimate` that are not among the others: velocity, position, unknowns, covariance.
+        blocks: of its covariance.
+        xp: jax.numpy, or numpy on the host.
+        put: what brings arrays from the host to where they must be.
+    """
+    defined = defined & finite
+    observable = observable & defined
+    bits = _status_bits(defined=defined, observable=observable, aided=aided, finite=finite, unused=unused, xp=xp)
+
+    def masked(x: Any) -> Any:
+        return xp.where(defined.reshape(*defined.shape, *[1] * (x.ndim - defined.ndim)), x, 0.0)
+
+    def all_masked(tree: Any) -> Any:
+        return jax.tree.map(masked, tree)
+
+    positive = xp.where(q_nb[..., :1] < 0, -q_nb, q_nb)
+    rows = {
+        "time": time,
+        "q_nb": xp.where(defined[..., None], positive, xp.asarray([1.0, 0.0, 0.0, 0.0])),
+        "defined": defined,
+        "observable": observable,
+        "eigengap": eigengap + xp.zeros(defined.shape),
+        "residual": masked(residual),
+        "weight": weight,
+        "alpha": alpha,
+        "beta": beta,
+        "covariance": all_masked(covariance),
+        "status": status + bits,
+        "aid_sd": aid_sd,
+    }
+    of_aids = {name: (masked(residual), *rest) for name, (residual, *rest) in aids.items()}
+    rows, of_filter, of_aids, of_nav = put((rows, all_masked(filter), of_aids, all_masked(nav)))
+    told = None if of_filter is None else FilterRecord(**of_filter)
+    handed = None
+    if of_nav is not None and told is not None:
+        biases = {"gyro_bias": told.gyro_bias, "accel_bias": told.accel_bias}
+        handed = NavEstimate(time=rows["time"], q_nb=rows["q_nb"], **biases, **of_nav, blocks=blocks)
+    records = {name: AidRecord(*x) for name, x in of_aids.items()}
+    return Solution(**rows, filter=told, aids=records, nav=handed)

@@ -228,7 +228,7 @@ class Quat:
         return self.w * self.w + self.x * self.x + self.y * self.y + self.z * self.z
 
     def unit(self) -> Quat:
-        """The same rotation with norm one (a null quaternion becomes the identity)."""
+        """The rotation with norm one (a null quaternion becomes the identity)."""
         square = self.norm2()
         positive = square > 0
         factor = 1.0 / jnp.sqrt(jnp.where(positive, square, 1.0))

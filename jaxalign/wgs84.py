@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["EARTH_RATE", "ECCENTRICITY2", "SEMI_MAJOR_AXIS", "STANDARD_GRAVITY", "gravity"]
+__all__ = ["EARTH_RATE", "ECCENTRICITY2", "SEMI_MAJOR_AXIS", "STANDARD_GRAVITY", "curvature", "gravity"]
 
 EARTH_RATE = 7.292115e-5
 """rad/s (WGS-84)."""
@@ -35,3 +35,15 @@ def gravity(sin: Any, h: Any, sqrt: Callable[[Any], Any]) -> Any:
     x = h / SEMI_MAJOR_AXIS
     slope = 1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * s2
     return surface * (1.0 - 2.0 * slope * x + 3.0 * x * x)
+
+
+def curvature(sin: Any, sqrt: Callable[[Any], Any]) -> tuple[Any, Any]:
+    """Radii of curvature in the meridian and in the prime vertical (m).
+
+    Args:
+        sin: sine of the latitude.
+        sqrt: the square root for numbers of their kind.
+    """
+    x = 1.0 - ECCENTRICITY2 * sin**2
+    prime_vertical = SEMI_MAJOR_AXIS / sqrt(x)
+    return prime_vertical * (1.0 - ECCENTRICITY2) / x, prime_vertical

@@ -18,9 +18,9 @@ jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where a
 gc.set_threshold(100_000, 50, 100)  # what JAX traces are many small objects that are soon gone
 # The shapes in the annotations are checked in the tests, not in production: in the rooms that handle arrays (those that
 # parse what users type have messages of their own, which a type checker would forestall).
-ARRAYS = ("vector", "rotation", "earth", "linear", "spread", "solution", "metrics")
-OBSERVE = ("base", "frames", "nav", "window")
-ESTIMATE = ("base", "davenport", "profile", "qmethod", "triad")
+ARRAYS = ("vector", "rotation", "earth", "linear", "observability", "solution", "metrics")
+OBSERVE = ("base", "nav_velocity", "window")
+ESTIMATE = ("base", "eigenproblem", "profile", "qmethod", "triad")
 install_import_hook(
     [f"jaxalign.{name}" for name in ARRAYS]
     + [f"jaxalign.observe.{name}" for name in OBSERVE]
@@ -58,6 +58,7 @@ def pytest_collection_finish():
 
 # Files that share what they compile go to one worker.
 TOGETHER = {
+    "tests/cli/test_align_command.py": "tests/cli/test_cli.py",
     "tests/cli/test_study_command.py": "tests/study",
     "tests/study/test_study_store.py": "tests/study",
     "tests/study/test_study.py": "tests/study",

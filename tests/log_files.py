@@ -75,7 +75,13 @@ def constant_files(folder, t, aid_t, kind="rate", aid_v=None):
 def assert_same(a, b):
     for field in dataclasses.fields(Log):
         x, y = getattr(a, field.name), getattr(b, field.name)
-        if isinstance(x, np.ndarray):
+        if field.name == "aids":
+            assert len(x) == len(y)
+            for one, other in zip(x, y, strict=True):
+                assert (one.aid, one.sd) == (other.aid, other.sd)
+                np.testing.assert_array_equal(one.time, other.time)
+                np.testing.assert_array_equal(one.value, other.value)
+        elif isinstance(x, np.ndarray):
             np.testing.assert_array_equal(x, y, err_msg=field.name)
         else:
             assert x == y, field.name

@@ -15,7 +15,6 @@ from jaxalign.rotation import quat_from_dcm
 
 WEIGHTS = (0.3, -0.5, 1.0)  # of the three angles at the end
 LOST = 20  # an epoch without a fix
-SEARCHES = ("robust_map",)  # a value costs more than to compile it by itself
 LOSSES = ("end", "rows", "defined")
 
 
@@ -32,7 +31,7 @@ def _programs(name: str, aid: str, chosen: tuple):
             valid = jnp.isfinite(velocity).all(axis=1)
             moved = jnp.where(valid[:, None], velocity + x[0] * direction, 0.0)
             moved = moved.at[LOST, 0].add(jnp.where(valid[LOST], 0.0, x[2]))
-            rows = eqx.tree_at(lambda r: (r.velocity, r.valid), rows, (Vec3.of(moved), valid))
+            rows = rows.with_velocity(Vec3.of(moved), valid)
         epochs = eqx.tree_at(lambda e: (e.rows, e.site.lat), epochs, (rows, epochs.site.lat + x[1]))
         found = changed.solve(epochs, sparse(name))
         attitudes = Quat.of(found.q_nb)
@@ -48,7 +47,9 @@ def _programs(name: str, aid: str, chosen: tuple):
         return jax.jvp(lambda x: loss(x, *rest), (x,), (towards,), has_aux=True)[1]
 
     reverse = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
-    value = jax.jit(lambda *args: loss(*args)[0]) if name in SEARCHES else lambda *args: reverse(*args)[0][0]
+    # Of a search a value costs more than to compile it by itself.
+    alone = jax.jit(lambda *args: loss(*args)[0]) if method.rows_are_costly else None
+    value = alone or (lambda *args: reverse(*args)[0][0])
     return reverse, jax.jit(along), value
 
 
@@ -68,7 +69,7 @@ class Slopes:
     def __init__(self, name: str, aid: str, settings: dict, loss: str = "end", velocity=None):
         method = build(name, aid, settings)
         self.paths = list(tunables(method))
-        self.numbers = np.array([float(parameters(method)[path]) for path in self.paths])
+        self.numbers = np.array([float(parameters(method)[path] or 0.0) for path in self.paths])
         chosen = {path: x for path, x in settings.items() if path not in self.paths}
         self._reverse, self._forward, self._value = _programs(name, aid, tuple(chosen.items()))
         self.zero = np.zeros(3 + len(self.paths))

@@ -1,10 +1,9 @@
 """Bands in which a sample must lie."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from logs import with_noise
 from scipy import stats
 
 from jaxalign.rotation import attitude_error, quat_from_dcm
@@ -26,8 +25,8 @@ def assert_rate(hits, trials, probability):
 
 def outlying(made, share):
     """A scenario with a share of its fixes 300 (Doppler) or 200 (GNSS) times too noisy, the first like the others."""
-    factor = 300.0 if made.aid == "body" else 200.0
-    return dataclasses.replace(made, faults=(FixedOutliers(share, factor, False, "random"),))
+    factor = 300.0 if made.aids[0].aid.kind == "body" else 200.0
+    return with_noise(made, faults=(FixedOutliers(share, factor, False, "random"),))
 
 
 @jax.jit

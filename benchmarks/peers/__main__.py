@@ -40,15 +40,15 @@ def problem() -> tuple[Any, Any, dict[str, Any]]:
 
     made = scenario("dvl-sturn")
     exact = truth(made)
-    dt = float(exact.dt)
+    dt, triads = float(exact.dt), (made.imu.gyro, made.imu.accel)
     arguments = {
         "dtheta": np.asarray(exact.dtheta),
         "dvel": np.asarray(exact.dvel),
         "velocity": np.asarray(exact.velocity_b),
-        "biases": np.stack([np.asarray(made.gyro.bias), np.asarray(made.accel.bias)]) * dt,
-        "sds": np.array([float(made.gyro.increment_sd(dt)), float(made.accel.increment_sd(dt)), float(made.aid_sd)]),
+        "biases": np.stack([np.full(3, x.bias) for x in triads]) * dt,
+        "sds": np.array([*(float(x.increment_sd(dt)) for x in triads), float(made.aids[0].sd)]),
         "dt": dt,
-        "samples": made.aid_every,
+        "samples": made.epoch_samples,
         "lat": float(made.site.lat),
         "h": float(made.site.h),
     }
@@ -58,11 +58,11 @@ def problem() -> tuple[Any, Any, dict[str, Any]]:
 def agreement() -> dict[str, float]:
     """Largest angle (rad) between ours and each loop at the last epoch, on the same noise."""
     from benchmarks.peers import loop_numba, loop_numpy
-    from jaxalign import Log, align
+    from jaxalign import BodyVelocity, Log, Measurements, align
     from jaxalign.methods import build
     from jaxalign.rotation import dcm_from_quat, quat_from_dcm
 
-    made, _, a = problem()
+    made, exact, a = problem()
     rng = np.random.default_rng(1)
     n, m = len(a["dtheta"]), len(a["velocity"])
     noise = rng.standard_normal(6 * n + 3 * m)
@@ -70,7 +70,8 @@ def agreement() -> dict[str, float]:
     dtheta = a["dtheta"] + a["biases"][0] + a["sds"][0] * z[:, :3]
     dvel = a["dvel"] + a["biases"][1] + a["sds"][1] * z[:, 3:]
     velocity = a["velocity"] + a["sds"][2] * aid
-    log = Log(dtheta, dvel, a["dt"], a["samples"], "body", velocity, a["lat"], float(made.site.lon), a["h"], 0.1)
+    seen = Measurements(BodyVelocity(), np.asarray(exact.t), velocity, 0.1)
+    log = Log(dtheta, dvel, a["dt"], a["samples"], a["lat"], float(made.site.lon), a["h"], (seen,))
     ours = np.asarray(align(build("oba", "body"), log, every=10).q_nb)[-1]
     out = np.empty((m // 10 + 1, 4))
     rest = (a["dt"], a["samples"], 10, a["lat"], a["h"])
@@ -104,7 +105,7 @@ def ours(runs: int, every: int, fidelity: Any) -> tuple[float, float, float]:
 
 
 def numba(runs: int, every: int, plain: bool = False) -> tuple[float, float, float]:
-    """The same of the compiled loop, noise drawn on the fly: by numba's generator if plain."""
+    """What the compiled loop takes, noise drawn on the fly: by numba's generator if plain."""
     from benchmarks.peers import loop_numba
 
     _, _, a = problem()
@@ -116,7 +117,7 @@ def numba(runs: int, every: int, plain: bool = False) -> tuple[float, float, flo
 
 
 def plain(runs: int, every: int) -> tuple[float, float, float]:
-    """The same of the NumPy loop, one process on one core."""
+    """What the NumPy loop takes, one process on one core."""
     from benchmarks.peers import loop_numpy
 
     _, _, a = problem()
@@ -151,7 +152,7 @@ def one(way: str, runs: int, every: int) -> None:
 def main() -> None:
     """Measure each in a process of its own and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent.parent / "peers.md")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent.parent / "peers.md")
     parser.add_argument("--most", type=int, default=10_000, help="most runs (default: 10000)")
     parser.add_argument("--one", nargs=3, metavar=("WAY", "RUNS", "EVERY"), help="measure one, in this process")
     options = parser.parse_args()
@@ -202,8 +203,8 @@ def main() -> None:
                 numba_wall, numba_cpu = rows["numba loop"][1:3]
                 cells += [f"{numba_wall / wall:.3g}", f"{numba_cpu / cpu:.3g}", f"{memory:.2f}"]
                 lines.append("| " + " | ".join(cells) + " |")
-    options.out.write_text("\n".join([*lines, ""]))
-    print(f"wrote {options.out}")
+    options.output.write_text("\n".join([*lines, ""]))
+    print(f"wrote {options.output}")
 
 
 if __name__ == "__main__":

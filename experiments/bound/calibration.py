@@ -12,9 +12,9 @@ import numpy as np
 from experiments.bound.conditions import recipes, with_condition
 from experiments.page import Table
 from experiments.progress import progress
-from experiments.statistics import Estimate
 from jaxalign.rotation import attitude_error, quat_from_dcm
 from jaxalign.simulate import Scenario, intervals_of, measure_epochs, scenario, truth
+from jaxalign.tables import Estimate
 from jaxalign.uncertainty import ensemble_covariance
 
 __all__ = ["CASES", "Calibration", "calibration", "calibration_table"]
@@ -69,7 +69,7 @@ def calibration(case: str, runs: int, seed: int) -> dict[str, Calibration]:
     out = {}
     with progress(f"calibration, {case}", chunks * len(methods)) as bar:
         for label, method in methods.items():
-            every = method.interval_samples or made.aid_every
+            every = method.front_end.interval_samples or made.epoch_samples
             intervals = intervals_of(exact, every)
             parts = []
             for some in keys:
@@ -85,7 +85,7 @@ def calibration(case: str, runs: int, seed: int) -> dict[str, Calibration]:
 @eqx.filter_jit
 def _solved(method: Any, made: Scenario, intervals: Any, keys: Any) -> tuple[Any, Any]:
     """Attitudes at the end and their covariances."""
-    imu = made.imu
+    imu = made.imu.at_rate(made.imu_rate)
 
     def one(key: Any) -> tuple[Any, Any]:
         measured, drawn = jax.random.split(key)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -10,7 +9,10 @@ import jax
 import numpy as np
 
 from experiments.monte_carlo import monte_carlo
+from experiments.scenarios import with_aid
+from jaxalign.aids import Standing
 from jaxalign.bounds import bound
+from jaxalign.front_end import FrontEnd
 from jaxalign.method import AbstractMethod
 from jaxalign.methods import RECIPES, build
 from jaxalign.simulate import Scenario, scenario, truth
@@ -43,7 +45,7 @@ Faults = Callable[[Scenario], tuple[AbstractFault, ...]]
 
 
 def _outliers(share: float, single_axis: bool = False, first: Any = "random") -> Faults:
-    return lambda made: (FixedOutliers(share, FACTOR[made.aid], single_axis, first),)
+    return lambda made: (FixedOutliers(share, FACTOR[made.aids[0].aid.kind], single_axis, first),)
 
 
 CONDITIONS: dict[str, Faults] = {
@@ -60,19 +62,24 @@ CONDITIONS: dict[str, Faults] = {
 
 def with_condition(made: Scenario, label: str) -> Scenario:
     """A scenario whose aid suffers that."""
-    return dataclasses.replace(made, faults=CONDITIONS[label](made))
+    return with_aid(made, faults=CONDITIONS[label](made))
 
 
 def recipes(made: Scenario) -> dict[str, Any]:
-    """Every recipe that takes the aid of a scenario, those with a model of the unit with the scenario's."""
-    return {name: matched(build(name, made.aid), made) for name, recipe in RECIPES.items() if made.aid in recipe.aids}
+    """The library's own recipes that take the aid of a scenario, those with a model of the unit with its figures.
+
+    Without ``auto``: once it is told the figures it is ``robust_map``.
+    """
+    aid = made.aids[0].aid if made.aids else Standing()
+    names = [name for name, recipe in RECIPES.items() if recipe.takes(aid) and not recipe.published and name != "auto"]
+    return {name: matched(build(name, aid), made) for name in names}
 
 
 def matched(method: AbstractMethod, made: Scenario) -> AbstractMethod:
     """With the figures of the scenario's inertial unit, where a method has any."""
-    method = method.with_imu(made.imu)
-    if method.rows_are_costly and method.aid == "static":
-        return dataclasses.replace(method, interval_samples=round(made.imu_rate))
+    method = method.with_imu(made.imu.at_rate(made.imu_rate))
+    if method.rows_are_costly and method.standing:
+        return method.with_front_end(FrontEnd(round(made.imu_rate)))
     return method
 
 
@@ -101,7 +108,7 @@ def ratios(name: str, label: str | None, runs: int, seed: int) -> Ratios:
     if label is not None:
         made = true = with_condition(made, label)
         if label.startswith("noise"):
-            true = dataclasses.replace(made, aid_sd=MISSTATED * made.aid_sd)
+            true = with_aid(made, sd=MISSTATED * made.aids[0].sd)
     count = max(runs // _COSTLY.get(name, 1), 2)
     methods = recipes(made)
     every = {x: _epochs(made, method) // ROWS for x, method in methods.items()}
@@ -120,4 +127,4 @@ def ratios(name: str, label: str | None, runs: int, seed: int) -> Ratios:
 
 def _epochs(made: Scenario, method: AbstractMethod) -> int:
     """How many the method makes of the scenario."""
-    return made.epochs * made.aid_every // (method.interval_samples or made.aid_every)
+    return made.epochs * made.epoch_samples // (method.front_end.interval_samples or made.epoch_samples)

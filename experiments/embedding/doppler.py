@@ -14,9 +14,10 @@ import numpy as np
 from experiments.embedding.dvl_calibration import DOPPLER, Found, Unknowns, calibrate, corrected, expected, spoilt
 from experiments.monte_carlo import run_keys
 from jaxalign import Epochs, Log, align, epochs_from_log, read
+from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
 from jaxalign.methods import build
 from jaxalign.rotation import attitude_error, euler_from_quat, quat_from_dcm
-from jaxalign.simulate import accel_errors, gyro_errors, intervals_of, measure_epochs, noiseless, scenario, truth
+from jaxalign.simulate import intervals_of, measure_epochs, noiseless, scenario, truth
 
 __all__ = ["INJECTED", "LABELS", "NAMES", "SCENARIOS", "SD", "UNITS", "LogRun", "Simulated", "logs", "sensitivity"]
 
@@ -29,8 +30,8 @@ PARTS, LOG_PARTS = 5, 10
 INJECTED = np.array([0.5, 0.5, -0.3, 1.0, 0.0, 0.0, 0.0]) * UNITS
 LENGTH_S = 390.0
 SENSORS = {  # the gyroscope of the real logs is rounded to 1e-4 rad/s
-    "real": (gyro_errors(0.02, 0.015), accel_errors(100.0, 50.0)),
-    "semi_real": (gyro_errors(0.02, 0.005), accel_errors(100.0, 50.0)),
+    "real": ImuErrors(GyroErrors(0.02, 0.015), AccelErrors(100.0, 50.0)),
+    "semi_real": ImuErrors(GyroErrors(0.02, 0.005), AccelErrors(100.0, 50.0)),
 }
 LABELS = (
     "perfect Doppler log",
@@ -80,8 +81,8 @@ class Simulated(NamedTuple):
         """Draw the errors of the Doppler log from what is known beforehand, and calibrate."""
         made = scenario(name)
         exact = truth(made)
-        intervals = intervals_of(exact, made.aid_every)
-        prior = expected(SD, made.gyro, made.accel, made.duration, PARTS)
+        intervals = intervals_of(exact, made.epoch_samples)
+        prior = expected(SD, made.imu, made.duration, PARTS)
         values = np.random.default_rng([seed, 1]).normal(size=(runs, DOPPLER)) * SD
 
         @jax.jit
@@ -104,9 +105,9 @@ class Simulated(NamedTuple):
 def sensitivity(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Time (K,) s and the derivative (K, 7) of the heading (deg) by errors of the Doppler log, without noise."""
     made = noiseless(scenario(name))
-    epochs = measure_epochs(intervals_of(truth(made), made.aid_every), made, jax.random.key(0))
-    epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, scenario(name).aid_sd)
-    prior = expected(SD, made.gyro, made.accel, made.duration, 1)
+    epochs = measure_epochs(intervals_of(truth(made), made.epoch_samples), made, jax.random.key(0))
+    epochs = epochs.with_sd(scenario(name).aids[0].sd)
+    prior = expected(SD, made.imu, made.duration, 1)
 
     @jax.jit
     def heading(values: Any) -> tuple[Any, Any]:
@@ -145,14 +146,14 @@ def logs(count: int) -> list[LogRun]:
 
 def _log(path: Path) -> LogRun:
     log = read(path).crop(0.0, LENGTH_S)
-    gyro, accel = SENSORS["semi_real" if path.stem.startswith("semi") else "real"]
-    prior = expected(SD, gyro, accel, log.duration, LOG_PARTS)
+    imu = SENSORS["semi_real" if path.stem.startswith("semi") else "real"]
+    prior = expected(SD, imu, log.duration, LOG_PARTS)
     epochs = jax.tree.map(lambda x: jnp.asarray(x)[None], epochs_from_log(log))
     put = _doppler(prior, jnp.asarray(INJECTED))
     bad = jax.jit(jax.vmap(lambda e: spoilt(e, put)))(epochs)
     sd = 0.02
     for _ in range(2):  # what is left says how large the noise is, and how long it lasts
-        bad = eqx.tree_at(lambda e: e.aid_sd, bad, jnp.full(1, sd))
+        bad = bad.with_sd(jnp.full(1, sd))
         found = calibrate(bad, prior)
         left = found.residual[0]
         last = np.sum(left[1:] * left[:-1]) / np.sum(left**2)
@@ -182,9 +183,8 @@ def _reference(path: Path, log: Log) -> np.ndarray:
     """Scale, mounting, lever arm that fit the velocity of the Doppler log best to that of the reference."""
     with np.load(path) as arrays:
         true, rate = (arrays[key][: log.epochs + 1] for key in ("aid_v_true", "omega_b_at_aid"))
-    assert log.velocity is not None
-    axes = np.eye(3)
-    columns = [log.velocity, *(np.cross(e, log.velocity) for e in axes), *(-np.cross(rate, e) for e in axes)]
-    design, off = np.stack(columns, axis=-1), true - log.velocity
+    axes, velocity = np.eye(3), log.aids[0].value
+    columns = [velocity, *(np.cross(e, velocity) for e in axes), *(-np.cross(rate, e) for e in axes)]
+    design, off = np.stack(columns, axis=-1), true - velocity
     good = np.isfinite(off).all(axis=1) & np.isfinite(rate).all(axis=1)
     return np.linalg.lstsq(design[good].reshape(-1, DOPPLER), off[good].ravel(), rcond=None)[0]

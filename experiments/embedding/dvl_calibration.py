@@ -16,8 +16,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxalign import Aligner, Epochs, Quat, Vec3
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.methods import build
-from jaxalign.simulate import TriadErrors
 from jaxalign.vector import where
 
 __all__ = ["DOPPLER", "Found", "Unknowns", "calibrate", "corrected", "expected", "spoilt", "vectors"]
@@ -48,15 +48,17 @@ class Unknowns(eqx.Module):
     accel_walk: Float[Array, "S 3"]
 
 
-def expected(doppler: Any, gyro: TriadErrors, accel: TriadErrors, seconds: float, parts: int) -> Unknowns:
+def expected(doppler: Any, imu: ImuErrors, seconds: float, parts: int) -> Unknowns:
     """Standard deviations beforehand: seven of the Doppler log; of an inertial unit over so many seconds."""
-    walks = (jnp.full((parts, 3), x.density) / np.sqrt(seconds / parts) for x in (gyro, accel))
-    return Unknowns(doppler[0], doppler[1:4], doppler[4:], gyro.bias, accel.bias, *walks)
+    triads = (imu.gyro, imu.accel)
+    biases = (jnp.full(3, x.bias) for x in triads)
+    walks = (jnp.full((parts, 3), x.density) / np.sqrt(seconds / parts) for x in triads)
+    return Unknowns(doppler[0], doppler[1:4], doppler[4:], *biases, *walks)
 
 
 def _rate(epochs: Epochs) -> Vec3:
     """Turn rate in b at the epochs, rad/s: mean of the two intervals beside each."""
-    mean = epochs.rows.rotation.log() * (1 / epochs.interval)
+    mean = epochs.rows.rotation.log() * (1 / epochs.rows.dt[-1])  # all intervals are alike
     return jax.tree.map(lambda x: 0.5 * (jnp.append(x[1], x[1:]) + jnp.append(x[1:], x[-1])), mean)
 
 
@@ -65,10 +67,14 @@ def _seen(velocity: Vec3, errors: Unknowns) -> Vec3:
     return Quat.exp(Vec3.of(-errors.mounting)).rotate(velocity) * (1 / (1 + errors.scale))
 
 
+def _parts(v: Vec3) -> tuple[Any, Any, Any]:
+    return v.x, v.y, v.z
+
+
 def spoilt(epochs: Epochs, errors: Unknowns) -> Epochs:
     """With a Doppler log that has these errors."""
     velocity = epochs.rows.velocity + _rate(epochs).cross(Vec3.of(errors.lever))
-    return eqx.tree_at(lambda e: e.rows.velocity, epochs, _seen(velocity, errors))
+    return eqx.tree_at(lambda e: e.rows.fixes[0].value, epochs, _parts(_seen(velocity, errors)))
 
 
 def corrected(epochs: Epochs, errors: Unknowns) -> Epochs:
@@ -80,8 +86,8 @@ def corrected(epochs: Epochs, errors: Unknowns) -> Epochs:
     middle = Quat.turn(rows.rotation.log() * 0.5)  # half-way through an interval, seen from its start
     velocity = Quat.exp(Vec3.of(errors.mounting)).rotate(rows.velocity) * (1 + errors.scale)
     velocity = velocity - _rate(epochs).cross(Vec3.of(errors.lever))
-    new = rows.rotation * Quat.turn(-turned), rows.dvel - middle.rotate(pushed), velocity
-    return eqx.tree_at(lambda e: (e.rows.rotation, e.rows.dvel, e.rows.velocity), epochs, new)
+    new = rows.rotation * Quat.turn(-turned), rows.dvel - middle.rotate(pushed), _parts(velocity)
+    return eqx.tree_at(lambda e: (e.rows.rotation, e.rows.dvel, e.rows.fixes[0].value), epochs, new)
 
 
 def vectors(method: Aligner, epochs: Epochs) -> tuple[Vec3, Float[Array, " 4"]]:
@@ -91,10 +97,10 @@ def vectors(method: Aligner, epochs: Epochs) -> tuple[Vec3, Float[Array, " 4"]]:
         state, row = method.step(state, epoch)
         return state, (state.pair, state.observe.q_b0b, row.q_nb)
 
-    state = method.init(epochs.site, epochs.interval, epochs.aid_sd)
+    state = method.init(epochs.site, epochs.aid_sd)
     last, (pairs, q_b0b, q_nb) = jax.lax.scan(step, state, epochs.rows)
     attitude = last.readout.attitude
-    beta = pairs.open_beta + attitude.conjugate().rotate(pairs.w_ie).cross(pairs.moment)
+    beta = pairs.beta_without_coriolis + attitude.conjugate().rotate(pairs.w_ie).cross(pairs.displacement)
     residual = attitude.conjugate().rotate(pairs.alpha) - beta  # in b0
     mean = jax.tree.map(lambda x: jnp.sum(jnp.where(pairs.valid, x, 0.0)) / jnp.sum(pairs.valid), residual)
     return q_b0b.conjugate().rotate(where(pairs.valid, residual - mean, Vec3.zero())), q_nb[-1]

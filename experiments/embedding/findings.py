@@ -8,7 +8,8 @@ import numpy as np
 
 from experiments.embedding.doppler import DOPPLER, INJECTED, LABELS, SD, UNITS, LogRun, Simulated
 from experiments.embedding.outliers import HUBER, LEARNED, OTHER, OTHER_BAD, SMALL, TRAINED, Weights
-from experiments.statistics import Estimate, compared, mean, rms
+from experiments.statistics import compared, mean, rms
+from jaxalign.tables import Estimate
 
 __all__ = ["on_logs", "on_simulations", "on_weights"]
 
@@ -129,7 +130,7 @@ def on_weights(found: Weights) -> str:
     text = f"""\
 - {len(learned.history.loss)} steps of gradient descent through the recursion bring the network's loss over runs held
   out from {learned.history.held[0]:.2f} to {learned.best:.2f} (mean of ln of a run's heading RMSE in deg). Tuning
-  Huber's threshold in the same way, from {tuned.start["weight.gamma"]:.2f}, {_tuned(found)}.
+  Huber's threshold in the same way, from {tuned.start["weight.threshold"]:.2f}, {_tuned(found)}.
 - On the outliers that it was trained on, in other runs: {", ".join(f"`{x}` {rms(home[x])}" for x in home)} deg.
 - On the {len(others)} conditions that it was not trained on, the RMSE with the network against that with Huber's weight
   in the same alignment is below for: {_listed(huber["below"])}; equal (within twice the standard error) for:
@@ -160,7 +161,7 @@ def _tuned(found: Weights) -> str:
     tuned = found.tuned
     if tuned.best >= tuned.history.held[0]:
         return f"finds nothing better than the start ({tuned.best:.2f})"
-    return f"brings {tuned.history.held[0]:.2f} to {tuned.best:.2f}, at {tuned.values['weight.gamma']:.2f}"
+    return f"brings {tuned.history.held[0]:.2f} to {tuned.best:.2f}, at {tuned.values['weight.threshold']:.2f}"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from jaxtyping import PRNGKeyArray
 
 from jaxalign import Aligner
 from jaxalign.estimate import AbstractEstimate
-from jaxalign.observe import BodyVelocity, Context, Pair
+from jaxalign.observe import BodyVelocityVectors, Context, Pair
 from jaxalign.simulate import Scenario
 from jaxalign.tune import Tune, Tuned, run
 from jaxalign.weight import AbstractWeight
@@ -55,6 +55,6 @@ class LearnedWeight(AbstractWeight):
 
 def learn(made: Scenario, estimate: AbstractEstimate, runs: int, steps: int, seed: int) -> Tuned:
     """Train the network on simulated runs: the smallest mean logarithm of a run's heading RMSE."""
-    start = Aligner(BodyVelocity(), weight=LearnedWeight(jax.random.key(seed)), estimate=estimate)
+    start = Aligner(BodyVelocityVectors(), weight=LearnedWeight(jax.random.key(seed)), estimate=estimate)
     how = {"runs": runs, "held_out": runs, "steps": steps, "rate": 0.03, "seed": seed, "patience": 0}
     return run(Tune(made, start, ["weight.net"], "log-rmse", **how))

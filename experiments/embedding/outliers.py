@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
 from experiments.embedding.learned_weight import learn
+from experiments.scenarios import with_aid
 from jaxalign import Aligner
 from jaxalign.estimate import CentredWahba
 from jaxalign.methods import build
-from jaxalign.observe import BodyVelocity
+from jaxalign.observe import BodyVelocityVectors
 from jaxalign.simulate import FixedOutliers, Scenario, scenario
 from jaxalign.study import Study, run
 from jaxalign.tune import Tune, Tuned
@@ -49,7 +49,7 @@ def conditions(runs: int) -> dict[str, Scenario]:
 
     def hit(probability: float, factor: float, **how: object) -> Scenario:
         fault = FixedOutliers(probability, factor, **how)  # pyright: ignore[reportArgumentType]
-        return dataclasses.replace(scenario("dvl-sturn"), faults=(fault,))
+        return with_aid(scenario("dvl-sturn"), faults=(fault,))
 
     found = {
         TRAINED: hit(0.02, 300.0),
@@ -72,7 +72,7 @@ def conditions(runs: int) -> dict[str, Scenario]:
 
 def centred(weight: AbstractWeight) -> Aligner:
     """The alignment with the first velocity free, and a weight."""
-    return Aligner(BodyVelocity(), weight=weight, estimate=CentredWahba())
+    return Aligner(BodyVelocityVectors(), weight=weight, estimate=CentredWahba())
 
 
 def weights(runs: int, seed: int) -> Weights:
@@ -82,7 +82,7 @@ def weights(runs: int, seed: int) -> Weights:
     asked = Tune(
         tried[TRAINED],
         centred(Huber()),
-        ["weight.gamma"],
+        ["weight.threshold"],
         "log-rmse",
         runs=runs,
         held_out=runs,

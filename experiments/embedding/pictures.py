@@ -82,7 +82,7 @@ def training(found: Weights) -> Figure:
         given = jnp.asarray(size), jnp.asarray(share * size)
         weight = jax.vmap(lambda r, m: net.weight(r, m, True))(*given)
         axes[0, 0].semilogx(size, weight, label=f"learned, misfit in length {share:g} of the residual", color=f"C{i}")
-    for gamma, label, style in ((2.5, HUBER, "k:"), (found.tuned.values["weight.gamma"], TUNED, "k--")):
+    for gamma, label, style in ((2.5, HUBER, "k:"), (found.tuned.values["weight.threshold"], TUNED, "k--")):
         axes[0, 0].semilogx(size, np.minimum(1.0, gamma / size), style, label=label)
     axes[0, 0].set_xlabel("size of the residual (standard deviations of the pair)")
     axes[0, 0].set_ylabel("weight (1)")

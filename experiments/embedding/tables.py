@@ -10,7 +10,8 @@ from experiments.embedding.doppler import DOPPLER, LABELS, NAMES, SD, UNITS, Log
 from experiments.embedding.outliers import Weights
 from experiments.embedding.pictures import IN
 from experiments.page import Table
-from experiments.statistics import Estimate, mean, rms, share
+from experiments.statistics import mean, rms, share
+from jaxalign.tables import Estimate
 
 __all__ = ["beyond_table", "estimate_table", "heading_table", "log_heading_table", "log_table", "weight_table"]
 

@@ -19,32 +19,34 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 from experiments.progress import progress  # noqa: E402
-from jaxalign import Log, Solution, align, choose, estimate_aid_sd, read  # noqa: E402
+from jaxalign import Log, Measurements, Solution, align, choose, estimate_aid_sd, parametrization, read  # noqa: E402
+from jaxalign.aids import AbstractAid, BodyVelocity, NavVelocity, Standing  # noqa: E402
 from jaxalign.errors import UserError  # noqa: E402
-from jaxalign.inertial_unit import ImuErrors, imu_errors  # noqa: E402
+from jaxalign.inertial_unit import PER_SAMPLE, imu_errors  # noqa: E402
 from jaxalign.methods import RECIPES, build, build_for  # noqa: E402
 from jaxalign.metrics import attitude_error_deg  # noqa: E402
 
 HERE = Path(__file__).parent
-PUBLISHED = {"observe.coriolis": "recursive", "observe.transport_rate": False}
 MOVING = {
     "oba": ("oba", {}),
-    "oba, as published": ("oba", PUBLISHED),
+    "oba, as published": ("oba_as_published", {}),
     "oba, 60 s window": ("oba", {"observe.window": 60.0}),
     "centred_oba": ("centred_oba", {}),
     "revising_oba": ("revising_oba", {}),
     "robust_map": ("robust_map", {}),
     "auto": ("auto", {}),
 }
-STANDING = {name: (name, {}) for name, recipe in RECIPES.items() if "static" in recipe.aids} | {
-    "dual_vector, RLS": ("dual_vector", {"vectors": "rls"}),
+OWN = {name: recipe for name, recipe in RECIPES.items() if not recipe.published}
+STANDING = {name: (name, {}) for name, recipe in OWN.items() if recipe.takes(Standing())} | {
+    "dual_vector, RLS": ("dual_vector_as_published", {"vectors": "rls"}),
     "velocity_q, unit vectors": ("velocity_q", {"estimate.normalise": True}),
-    "quaternion_kf, each 0.02 s": ("quaternion_kf", {"observe.interval_samples": 2, "estimate.averaging": 0.0}),
-    "rls_quaternion_kf, each 0.02 s": ("rls_quaternion_kf", {"observe.interval_samples": 2}),
-    "robust_map": ("robust_map", {"interval_samples": 100}),
+    "quaternion_kf, each 0.02 s": ("quaternion_kf", {"front_end.interval_samples": 2, "estimate.averaging": 0.0}),
+    "rls_quaternion_kf, each 0.02 s": ("rls_quaternion_kf", {"front_end.interval_samples": 2}),
+    "robust_map": ("robust_map", {"front_end.interval_samples": 100}),
     "auto": ("auto", {}),
 }
-MEMS = {f"imu.{field.name}": float(getattr(imu_errors("mems"), field.name)) for field in dataclasses.fields(ImuErrors)}
+FIGURES = parametrization.parameters(imu_errors("mems"))
+MEMS = {f"imu.{path}": value for path, value in FIGURES.items() if path not in PER_SAMPLE}
 OUTLIERS, FACTOR, DRAWS = 0.02, 200.0, 20  # probability, times the noise of the aid, draws per log
 # The first 300 s by an independent toolbox: pitch, roll, yaw in degrees.
 TOOLBOX = {
@@ -66,14 +68,16 @@ def made(name: str, log: Log, parameters: dict[str, Any] | None = None, aid_sd: 
     """A method by name; "auto": what is chosen for the log."""
     if name == "auto":
         return choose(log, aid_sd=aid_sd).method
-    return build_for(log.aid, name, parameters)
+    return build_for(tuple(one.aid for one in log.aids), name, parameters)
 
 
 def aligned(method: Any, log: Log, seconds: float) -> Solution:
     """Rows at every epoch; of the batch estimator, which starts anew for each, so many seconds apart."""
     if not method.rows_are_costly:
         return align(method, log)
-    return align(method, log, every=max(round(seconds / ((method.interval_samples or log.aid_every) * log.dt)), 1))
+    return align(
+        method, log, every=max(round(seconds / ((method.front_end.interval_samples or log.epoch_samples) * log.dt)), 1)
+    )
 
 
 def moving_table(logs: list[Log]) -> list[str]:
@@ -85,8 +89,6 @@ def moving_table(logs: list[Log]) -> list[str]:
     ]
     for log in logs:
         for label, (name, parameters) in MOVING.items():
-            if log.aid == "nav":  # nothing recursive there
-                parameters = {path: value for path, value in parameters.items() if path != "observe.coriolis"}
             solution = aligned(made(name, log, parameters), log, 100.0)
             error, time = attitude_error_deg(solution, log), np.asarray(solution.time)
             assert error is not None
@@ -101,18 +103,17 @@ def moving_table(logs: list[Log]) -> list[str]:
 
 def with_outliers(log: Log, sd: float, draw: int) -> Log:
     """Some velocities after the first off by white noise of many times the aid's, on all axes."""
-    assert log.velocity is not None
-    rng = np.random.default_rng(draw)
-    hit = rng.random(len(log.velocity)) < OUTLIERS
+    rng, velocity = np.random.default_rng(draw), log.aids[0].value
+    hit = rng.random(len(velocity)) < OUTLIERS
     hit[0] = False
-    jumps = rng.normal(size=log.velocity.shape) * FACTOR * sd
-    return dataclasses.replace(log, velocity=log.velocity + np.where(hit[:, None], jumps, 0.0))
+    jumps = rng.normal(size=velocity.shape) * FACTOR * sd
+    return log.with_aid(dataclasses.replace(log.aids[0], value=velocity + np.where(hit[:, None], jumps, 0.0)))
 
 
-def recipes_table(logs: list[Log], aid: str) -> list[str]:
+def recipes_table(logs: list[Log], aid: AbstractAid) -> list[str]:
     """Every recipe: heading errors after 300 s as the log is, and with outliers."""
     logs = [log.crop(0.0, min(300.0, log.duration)) for log in logs]
-    names = [*(name for name, recipe in RECIPES.items() if aid in recipe.aids), "auto"]
+    names = [name for name, recipe in OWN.items() if recipe.takes(aid)]
     out = [f"| log | noise m/s | {' | '.join(names)} |", "|---|---|" + "---|" * len(names)]
     sizes: dict[str, list[float]] = {name: [] for name in names}
     for log in logs:
@@ -140,7 +141,8 @@ def satellite_like(path: Path) -> Log:
     """A log with the reference's velocity in n for an aid, in place of its Doppler log."""
     with np.load(path) as arrays:
         velocity = arrays["v_n_true"]
-    return dataclasses.replace(read(path), velocity=velocity, aid="nav", aid_sd=None)
+    log = read(path)
+    return dataclasses.replace(log, aids=(Measurements(NavVelocity(), log.aids[0].time, velocity),))
 
 
 def standing_table(log: Log) -> list[str]:
@@ -183,8 +185,8 @@ def window_table(log: Log, bias: np.ndarray) -> list[str]:
             errors, struck, held, arms = [], [], [], []
             for start in range(0, int(log.duration) - 60, 10):
                 part = data.crop(start, start + 60)
-                assert part.velocity is not None
-                change = part.velocity[-1] - part.velocity[0]
+                velocity = part.aids[0].value
+                change = velocity[-1] - velocity[0]
                 if not np.linalg.norm(change) > 8.0:
                     continue
                 for sizes, one in ((errors, part), (struck, with_outliers(part, sd, start))):
@@ -241,7 +243,7 @@ def main() -> int:
     shared = Path(os.environ.get("JAXALIGN_SHARED", "../shared"))
     parser = argparse.ArgumentParser(prog="python -m experiments.real_logs", description=__doc__)
     parser.add_argument("--data", type=Path, default=shared / "data", help="folder of logs (default: %(default)s)")
-    parser.add_argument("--out", type=Path, default=HERE / "results.md", help="file to write (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=HERE / "results.md", help="file to write (default: %(default)s)")
     options = parser.parse_args()
     if not options.data.is_dir():
         print(f"real_logs: error: no folder {options.data}: give the folder of the logs with --data", file=sys.stderr)
@@ -251,8 +253,8 @@ def main() -> int:
     except UserError as error:
         print(f"real_logs: error: {error}", file=sys.stderr)
         return 2
-    options.out.write_text(text)
-    print(f"wrote {options.out}")
+    options.output.write_text(text)
+    print(f"wrote {options.output}")
     return 0
 
 
@@ -293,12 +295,12 @@ def _page(data: Path, fresh: Callable[[list[str]], list[str]]) -> str:
         "Every recipe, the first 300 s: heading error in deg as the log is, and in brackets the median and the largest",
         f"of {DRAWS} draws with outliers: {100 * OUTLIERS:g} % of the velocities but the first, noise x {FACTOR:g}.",
         "",
-        *fresh(recipes_table(auv, "body")),
+        *fresh(recipes_table(auv, BodyVelocity())),
         "",
         "The same logs with the reference's velocity in n for an aid (hardly any noise), which is what a GNSS receiver",
         "would give; outliers as above.",
         "",
-        *fresh(recipes_table([satellite_like(path) for path in paths], "nav")),
+        *fresh(recipes_table([satellite_like(path) for path in paths], NavVelocity())),
         "",
         "## Ring-laser unit on a standing, disturbed vehicle (no reference; the file's header says yaw -90.6)",
         "",
@@ -320,7 +322,7 @@ def _page(data: Path, fresh: Callable[[list[str]], list[str]]) -> str:
         "",
         "Every recipe at the end, as the log is and with outliers as above:",
         "",
-        *fresh(recipes_table([mems], "nav")),
+        *fresh(recipes_table([mems], NavVelocity())),
         "",
         "The bias of the gyro (140-290 deg/h) and a nearly straight drive leave tens of degrees to a method without",
         "biases. With them and the lever arm to the antenna the accelerations do tell the heading, to what is stated:",

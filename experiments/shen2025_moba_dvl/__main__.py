@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from experiments.page import Page, Table  # noqa: E402
 from experiments.shen2025_moba_dvl.findings import findings  # noqa: E402
 from experiments.shen2025_moba_dvl.pictures import heading_over_time, histogram  # noqa: E402
 from experiments.statistics import few_runs  # noqa: E402
+from jaxalign.published import with_published_observation  # noqa: E402
 
 SCENARIO = "dvl-accturn"
 CONDITIONS: dict[str, dict[str, Any]] = {
@@ -30,14 +31,14 @@ INLIERS, WINDOW = "moba, inliers, 60 s window", "oba, 60 s window"
 METHODS: dict[str, dvl.Choice] = {
     "oba": ("oba", {}),
     "roba": ("roba", {}),
-    "roba, norm": ("roba", {"weight.residual": "norm", "weight.gamma": 1.345}),
+    "roba, norm": ("roba", {"weight.residual": "norm", "weight.threshold": 1.345}),
     "moba": ("moba", {}),
     INLIERS: ("moba", {"weight.statistics": "inliers", "observe.window": 60.0}),
     WINDOW: ("oba", {"observe.window": 60.0}),
     "rkf_oba": ("rkf_oba", {}),
     "centred_oba": ("centred_oba", {}),
 }
-VARIANTS: dict[str, dict[str, Any]] = {"neglected": dvl.PUBLISHED, "fed back": {}}
+VARIANTS: dict[str, Callable[[Any], Any] | None] = {"neglected": with_published_observation, "fed back": None}
 SINGLE = ("oba", "roba", "roba, norm", "moba", INLIERS)
 SPACING_S = 1.0  # of the rows kept
 PAPER_RUNS = 10
@@ -128,15 +129,13 @@ def weight_table(weights: dict[str, np.ndarray], hit: np.ndarray) -> Table:
 def study(runs: int, seed: int) -> Page:
     """All conditions, methods and variants, and the page on them."""
 
-    def simulated(
-        options: dict[str, Any], labels: Sequence[str], shared: dict[str, Any]
-    ) -> dict[str, dict[str, Errors]]:
-        chosen = {label: (METHODS[label][0], {**shared, **METHODS[label][1]}) for label in labels}
-        return dvl.conditions(SCENARIO, options, chosen, runs, seed, spacing=SPACING_S)
+    def simulated(options: dict[str, Any], labels: Sequence[str], variant: str) -> dict[str, dict[str, Errors]]:
+        chosen = {label: METHODS[label] for label in labels}
+        return dvl.conditions(SCENARIO, options, chosen, runs, seed, VARIANTS[variant], spacing=SPACING_S)
 
-    found = {variant: simulated(CONDITIONS, list(METHODS), shared) for variant, shared in VARIANTS.items()}
+    found = {variant: simulated(CONDITIONS, list(METHODS), variant) for variant in VARIANTS}
     alone = "Sim1, one axis"
-    single = simulated({alone: {**CONDITIONS["Sim1"], "single_axis": True}}, SINGLE, VARIANTS["fed back"])[alone]
+    single = simulated({alone: {**CONDITIONS["Sim1"], "single_axis": True}}, SINGLE, "fed back")[alone]
     log, hit = dvl.log_with_outliers(SCENARIO, CONDITIONS["Sim1"], seed)
     page = Page()
     page.add(

@@ -47,9 +47,9 @@ def findings(
                 out.append(f"{s.problem.label} ({value:.3f} ± {error:.3f})")
         return out
 
-    off = [abs(tuned.values["prefilter.cutoff"] / 0.5 - 1) for tuned in cutoffs.values()]
+    off = [abs(tuned.values["front_end.prefilter.cutoff"] / 0.5 - 1) for tuned in cutoffs.values()]
     steps = [len(tuned.history.loss) for tuned in cutoffs.values()]
-    spread = [tuned.values["prefilter.cutoff"] for tuned in cutoffs.values()]
+    spread = [tuned.values["front_end.prefilter.cutoff"] for tuned in cutoffs.values()]
     text = f"""\
 - The gradient gets as low as the genetic algorithm ends, with at least five times fewer runs, on {len(fewer)} of
   {len(found)} problems ({_list(times)}). Not so: {_list(not_so)}.

@@ -74,22 +74,27 @@ class Problem:
     def every(self) -> int:
         """Epochs of the scenario between two read-outs: 10 s."""
         made = self.made()
-        return round(10.0 * made.imu_rate / made.aid_every)
+        return round(10.0 * made.imu_rate / made.epoch_samples)
 
 
 SMOOTH = {"weight.gate": "smooth"}
-CONSTANT = {"estimate.noise": "constant"}
+CONSTANT = {"estimate.measurement_noise": "constant"}
 PROBLEMS = (
-    Problem("roba: Huber's gamma", "roba", "body", ("weight.gamma",), DVL, DVL_OTHER),
-    Problem("rkf_oba: Huber's gamma", "rkf_oba", "body", ("reconstruct.gamma",), DVL, DVL_OTHER),
+    Problem("roba: Huber's gamma", "roba", "body", ("weight.threshold",), DVL, DVL_OTHER),
+    Problem("rkf_oba: Huber's gamma", "rkf_oba", "body", ("reconstruct.threshold",), DVL, DVL_OTHER),
     Problem(
-        "rkf_oba: Q and P0 (over R)", "rkf_oba", "body", ("reconstruct.process", "reconstruct.prior"), DVL, DVL_OTHER
+        "rkf_oba: Q and P0 (over R)",
+        "rkf_oba",
+        "body",
+        ("reconstruct.process_variance", "reconstruct.prior_variance"),
+        DVL,
+        DVL_OTHER,
     ),
     Problem(
         "moba: gamma, delta, threshold",
         "moba",
         "body",
-        ("weight.gamma", "weight.delta", "weight.threshold"),
+        ("weight.exponent", "weight.delta", "weight.threshold"),
         DVL,
         DVL_OTHER,
         SMOOTH,
@@ -99,16 +104,16 @@ PROBLEMS = (
         "optimal_request: R and Q",
         "optimal_request",
         "nav",
-        ("estimate.variance", "estimate.process"),
+        ("estimate.variance", "estimate.process_variance"),
         GPS,
         GPS_OTHER,
-        {**CONSTANT, "estimate.process": 1e-4},
+        {**CONSTANT, "estimate.process_variance": 1e-4},
     ),
     Problem(
         "vo_tvk: kappa, R, P0",
         "vo_tvk",
         "nav",
-        ("estimate.kappa", "estimate.variance", "estimate.prior"),
+        ("estimate.kappa", "estimate.variance", "estimate.prior_variance"),
         GPS,
         GPS_OTHER,
         CONSTANT,
@@ -117,10 +122,10 @@ PROBLEMS = (
         "quaternion_kf: R and P0",
         "quaternion_kf",
         "static",
-        ("estimate.variance", "estimate.prior"),
+        ("estimate.variance", "estimate.prior_variance"),
         SWAY,
         SWAY_OTHER,
-        {"estimate.noise": "fixed"},
+        {"estimate.measurement_noise": "fixed"},
         0.125,
     ),
 )
@@ -128,12 +133,12 @@ PROBLEMS = (
 
 def cutoff_tune(condition: int, start: float, runs: int, seed: int) -> Tune:
     """The cut-off of Vondrak's filter by the misfit J, in a condition of Table 2."""
-    method = build("fine", prefilter="vondrak", parameters={"prefilter.cutoff": start})
+    method = build("fine", prefilter="vondrak", parameters={"front_end.prefilter.cutoff": start})
     made = scenario("disturbed", condition=condition, duration=60.0)
     return Tune(
         made,
         method,
-        "prefilter.cutoff",
+        "front_end.prefilter.cutoff",
         "misfit",
         runs=runs,
         held_out=runs,

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from experiments.page import Table
-from experiments.statistics import Estimate
 from experiments.tuning.searches import Searched
 from experiments.tuning.trial import Tried
+from jaxalign.tables import Estimate
 from jaxalign.tune import Tuned
 
 __all__ = ["cutoff_table", "number_table", "search_table", "trial_table"]
@@ -94,7 +94,7 @@ def cutoff_table(found: Mapping[tuple[int, float], Tuned]) -> Table:
         "cut-off", ("condition", "start (Hz)", "cut-off (Hz)", "theta = (2 pi f)^6 (rad^6/s^6)", "steps", "seconds")
     )
     for (condition, start), tuned in found.items():
-        cutoff = tuned.values["prefilter.cutoff"]
+        cutoff = tuned.values["front_end.prefilter.cutoff"]
         table.add(
             f"condition {condition}", start, cutoff, (2 * np.pi * cutoff) ** 6, len(tuned.history.loss), tuned.seconds
         )

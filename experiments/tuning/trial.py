@@ -28,7 +28,7 @@ def tried(searched: Searched, other: bool, seed: int) -> Tried:
         "genetic": with_parameters(problem.method, searched.genetic.values),
     }
     made = problem.made(other)
-    every = round(10.0 * made.imu_rate / made.aid_every)
+    every = round(10.0 * made.imu_rate / made.epoch_samples)
     result = run_study(Study(made, methods, 4 * searched.runs, seed=seed + 1000, every=every))
     assert result is not None  # one process
     first = result["untuned"]

@@ -69,7 +69,7 @@ def _errors(exact: Truth, made: Scenario, key: jax.Array, phi: jax.Array, scale:
         dvel * (1 + scale[1]),
         None,
         dt=1.0 / made.imu_rate,
-        every=made.aid_every,
+        every=made.epoch_samples,
         site=made.site,
         aid="static",
     )

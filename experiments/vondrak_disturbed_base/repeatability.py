@@ -23,10 +23,10 @@ __all__ = ["LENGTHS", "METHODS", "find", "repeatability"]
 LENGTHS = (60.0, 120.0, 300.0)
 SAMPLES = 10
 GYRO_LASER: dict[str, Any] = {
-    "accel_bias_ug": 50.0,
-    "accel_noise_ug_sqrt_hz": 20.0,
-    "gyro_bias_deg_h": 0.01,
-    "gyro_walk_deg_sqrt_h": 1e-3,
+    "imu.accel.bias_ug": 50.0,
+    "imu.accel.density_ug_sqrt_hz": 20.0,
+    "imu.gyro.bias_deg_h": 0.01,
+    "imu.gyro.walk_deg_sqrt_h": 1e-3,
     "initial_tilt_sd_deg": 0.1,
 }
 
@@ -69,7 +69,7 @@ def repeatability(
 ) -> dict[tuple[float, str, str], np.ndarray]:
     """(length s, scheme, method) -> (segments,) differences of heading from the reference, deg."""
     # The file calls its zero velocity a navigation aid; epochs of our own need a log without one.
-    whole = dataclasses.replace(read(path), aid="static", velocity=None, C_nb=None, aid_every=SAMPLES)
+    whole = dataclasses.replace(read(path), aids=(), C_nb=None, epoch_samples=SAMPLES)
     out: dict[tuple[float, str, str], np.ndarray] = {}
     count = sum(int(whole.duration // length) for length in lengths) * len(schemes) * len(METHODS)
     noise = estimate_aid_sd(build("velocity_q").epochs(whole))

@@ -12,12 +12,13 @@ import numpy as np
 
 from jaxalign import DualVector, Epochs, Fine, Quat, Vec3
 from jaxalign.earth import EARTH_RATE, STANDARD_GRAVITY
+from jaxalign.front_end import FrontEnd
 from jaxalign.inertial import InertialRecord
 from jaxalign.methods import build
 from jaxalign.parametrization import with_parameters
 from jaxalign.prefilter import AbstractPrefilter, Fir, Vondrak, Wavelet
-from jaxalign.record_method import AbstractRecordMethod, Found
-from jaxalign.simulate import Scenario
+from jaxalign.simulate import Scenario, draw_bias
+from jaxalign.whole_record import AbstractWholeRecordMethod, RecordReadout
 
 __all__ = ["FINES", "GRADES", "SCHEMES", "Turned", "behind", "fine_of", "floor_deg", "grade_of"]
 
@@ -32,10 +33,10 @@ SCHEMES: dict[str, AbstractPrefilter | None] = {
 
 def _filter(accel_ug: float, gyro_deg_h: float, walk_deg_h_sqrt_hz: float) -> dict[str, float]:
     return {
-        "accel_bias_ug": accel_ug,
-        "accel_noise_ug_sqrt_hz": accel_ug,
-        "gyro_bias_deg_h": gyro_deg_h,
-        "gyro_walk_deg_sqrt_h": walk_deg_h_sqrt_hz / 60,
+        "imu.accel.bias_ug": accel_ug,
+        "imu.accel.density_ug_sqrt_hz": accel_ug,
+        "imu.gyro.bias_deg_h": gyro_deg_h,
+        "imu.gyro.walk_deg_sqrt_h": walk_deg_h_sqrt_hz / 60,
         "initial_tilt_sd_deg": 0.05,
     }
 
@@ -55,7 +56,7 @@ def grade_of(condition: int) -> str:
     return "tactical" if condition <= 2 else "navigation"
 
 
-class Turned(AbstractRecordMethod):
+class Turned(AbstractWholeRecordMethod):
     """A coarse alignment whose heading is off by a stated angle more: what the fine alignment has to remove.
 
     Attributes:
@@ -63,12 +64,11 @@ class Turned(AbstractRecordMethod):
         deg: turn about up, deg.
     """
 
-    method: AbstractRecordMethod = eqx.field(default_factory=DualVector)
+    method: AbstractWholeRecordMethod = eqx.field(default_factory=DualVector)
     deg: Any = 2.0
-    interval_samples: int | None = None
-    prefilter: AbstractPrefilter | None = None
+    front_end: FrontEnd = eqx.field(default_factory=FrontEnd)
 
-    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
+    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> RecordReadout:
         """The coarse attitude, turned."""
         found = self.method.find(epochs, record, rows)
         turn = Quat.exp(Vec3(0.0, 0.0, jnp.deg2rad(self.deg)))
@@ -94,7 +94,7 @@ def fine_of(numbers: dict[str, Any], velocity_sd: float, form: str, turned: floa
 
 def behind(prefilter: AbstractPrefilter | None, method: Any) -> Any:
     """The method with a filter in front."""
-    return dataclasses.replace(method, prefilter=prefilter)
+    return method.with_front_end(FrontEnd(method.front_end.interval_samples, prefilter=prefilter))
 
 
 def floor_deg(made: Scenario, keys: jax.Array) -> np.ndarray:
@@ -105,7 +105,7 @@ def floor_deg(made: Scenario, keys: jax.Array) -> np.ndarray:
 
     def biases(key: jax.Array) -> tuple[jax.Array, jax.Array]:
         gyro, accel = (jax.random.split(jax.random.fold_in(key, i))[0] for i in (0, 1))
-        return made.gyro.draw_bias(gyro), made.accel.draw_bias(accel)
+        return draw_bias(made.imu.gyro, made.bias, gyro), draw_bias(made.imu.accel, made.bias, accel)
 
     gyro, accel = jax.vmap(biases)(keys)
     east = made.trajectory.attitude(jnp.zeros(())).matrix.array[0]

@@ -11,8 +11,9 @@ import numpy as np
 from experiments.monte_carlo import Errors, monte_carlo, run_keys
 from experiments.vondrak_disturbed_base.schemes import FINES, GRADES, SCHEMES, behind, fine_of, floor_deg, grade_of
 from jaxalign.earth import STANDARD_GRAVITY
+from jaxalign.inertial_unit import AccelErrors, ImuErrors
 from jaxalign.methods import build
-from jaxalign.simulate import Scenario, SineForce, accel_errors, scenario
+from jaxalign.simulate import Scenario, SineForce, scenario
 
 __all__ = ["COARSE", "CONDITIONS", "SWEEP_MG", "disturbed", "hundred", "sweep", "ten_tests", "two_vectors"]
 
@@ -99,9 +100,8 @@ def two_vectors(runs: int, seed: int, lengths: Sequence[float] = LENGTHS) -> dic
     out = {}
     for length in lengths:
         made = disturbed(4, 10.0, duration=length)
-        accel = accel_errors(0.0, noise_ug=20.0)
-        gyro = dataclasses.replace(made.gyro, bias=0.0 * made.gyro.bias)
-        made = dataclasses.replace(made, accel=accel, gyro=gyro)
+        gyro = dataclasses.replace(made.imu.gyro, bias_deg_h=0.0)
+        made = dataclasses.replace(made, imu=ImuErrors(gyro, AccelErrors(noise_ug=20.0)))
         every = dict.fromkeys(methods, made.epochs)
         out[length] = _found(made, methods, every, runs, seed, f"two vectors, {length:g} s")
     return out

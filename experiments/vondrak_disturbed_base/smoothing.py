@@ -11,7 +11,8 @@ import numpy as np
 import optax
 
 from experiments.genetic import SETTINGS, evolve
-from jaxalign.prefilter import Vondrak, changes_db, misfit, multitaper, printed, reconstructed, vondrak
+from jaxalign.prefilter import Vondrak, misfit, multitaper, vondrak
+from jaxalign.published.objectives import changes_db, printed, reconstructed
 from jaxalign.simulate import scenario, simulate
 
 __all__ = ["CUTOFFS", "OBJECTIVES", "Choice", "by_genetic_algorithm", "by_gradient", "force_record", "objectives"]

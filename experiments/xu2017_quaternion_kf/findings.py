@@ -21,7 +21,7 @@ def limit_deg(condition: str = "as printed") -> float | None:
     if "random" in condition:
         return None
     made = scenario("sway")
-    gyro, accel = (np.asarray(x.bias) for x in (made.gyro, made.accel))
+    gyro, accel = (np.full(3, x.bias) for x in (made.imu.gyro, made.imu.accel))
     if "north" in condition:
         gyro = gyro * [0, 1, 0]
     yaw = np.deg2rad(float(condition.split()[2])) if condition.startswith("mean yaw") else 0.0

@@ -24,7 +24,7 @@ def force_over_time(seed: int, samples: int) -> Figure:
     dt = samples * log.dt
     axes = panels(3, 2, width=11.0, height=8.0, sharex=True)
     for color, (label, name) in enumerate((("measured", "gravity_q"), ("fitted", "rls_q"))):
-        found = align(build(name, "static", {"observe.interval_samples": samples}), log, every=25)
+        found = align(build(name, "static", {"front_end.interval_samples": samples}), log, every=25)
         time, beta, alpha = (np.asarray(x)[1:] for x in (found.time, found.beta, found.alpha))
         force, wrong = beta / dt, (beta - alpha @ log.C_nb[0]) / dt
         for i, axis in enumerate("xyz"):

@@ -28,10 +28,10 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }
 METHODS: dict[str, dvl.Choice] = {
     "oba": ("oba", {}),
-    "oba, as published": ("oba", dvl.PUBLISHED),
+    "oba, as published": ("oba_as_published", {}),
     "rkf_oba": ("rkf_oba", {}),
-    "rkf_oba, as published": ("rkf_oba", {**dvl.PUBLISHED, "reconstruct.as_published": True}),
-    "rkf_oba, zero start": ("rkf_oba", {"reconstruct.drop_constant": True, "reconstruct.process": 1e-8}),
+    "rkf_oba, as published": ("rkf_oba_as_published", {}),
+    "rkf_oba, zero start": ("rkf_oba", {"reconstruct.drop_constant": True, "reconstruct.process_variance": 1e-8}),
     "roba": ("roba", {}),
     "centred_oba": ("centred_oba", {}),
 }

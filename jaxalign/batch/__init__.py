@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from jaxalign.batch.auto import Auto
 from jaxalign.batch.robust_map import RobustMap
 
-__all__ = ["RobustMap"]
+__all__ = ["Auto", "RobustMap"]

@@ -17,15 +17,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxalign.aids import AbstractAid
+from jaxalign.batch.measurement import steady_aid
 from jaxalign.batch.modes import best_of, turns
-from jaxalign.batch.solver import Model, Problem, Readout, State, initial_state, step
-from jaxalign.batch.start import views
-from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, Trajectory
+from jaxalign.batch.pool import pool_velocities
+from jaxalign.batch.problem import AidNoise, Model, Problem, Readout, State
+from jaxalign.batch.solver import initial_state, step
+from jaxalign.batch.start import integrate_vectors
+from jaxalign.batch.trajectory import ACCEL, GYRO, STATES, TILT, VELOCITY, NominalTrajectory
 from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epoch, Epochs
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["LANES", "Found", "on_host", "padded", "traced"]
+__all__ = ["LANES", "RowSolutions", "padded_length", "solve_on_host", "solve_traced"]
 
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
@@ -34,7 +38,7 @@ _FEWEST, _OFTEN = 3, 100  # rounds at least and at most
 _SLOWEST = 0.99  # share of a change that the next round leaves
 
 
-class Found(NamedTuple):
+class RowSolutions(NamedTuple):
     """Solutions and the vectors of their epochs.
 
     Attributes:
@@ -49,19 +53,20 @@ class Found(NamedTuple):
 
 
 def _begun(model: Model, problem: Problem) -> tuple[State, Array, Array]:
-    seen = views(problem.rows, problem.site, model.aid)
+    pool = pool_velocities(model.aids, problem.rows.fixes)
+    seen = integrate_vectors(problem.rows, problem.site, pool)
 
     def at_last(v: Any) -> Array:
         lanes = problem.last.shape
         full = jnp.stack([jnp.broadcast_to(x, (len(x), *lanes)) for x in (v.x, v.y, v.z)])
         return jnp.take_along_axis(full, jnp.broadcast_to(problem.last, (3, 1, *lanes)), axis=1)[:, 0]
 
-    return initial_state(model, problem, seen), at_last(seen.alpha), at_last(seen.beta)
+    return initial_state(model, problem, pool, seen), at_last(seen.alpha), at_last(seen.beta)
 
 
-def _turned(begun: State, found: State, angle: Any, aid: str) -> State:
-    """To begin again from a solution with another heading; a navigation aid has measured the velocity."""
-    return dataclasses.replace(begun, at=found.at.turned(angle, aid != "nav"))
+def _turned(begun: State, found: State, angle: Any, aids: tuple[AbstractAid, ...]) -> State:
+    """To begin again from a solution with another heading; an aid in n has measured the velocity."""
+    return dataclasses.replace(begun, at=found.at.turned(angle, steady_aid(aids) is None))
 
 
 def _best(reads: Readout) -> Readout:
@@ -97,7 +102,7 @@ def _searched(model: Model, problem: Problem, begun: State, iterations: int, sta
 
     def search(first: Any, number: Any) -> Any:
         start = jax.tree.map(
-            lambda a, b: jnp.where(number == 0, a, b), begun, _turned(begun, first, angles[number], model.aid)
+            lambda a, b: jnp.where(number == 0, a, b), begun, _turned(begun, first, angles[number], model.aids)
         )
         state, read = _rounds(model, problem, start, iterations)
         return jax.tree.map(lambda a, b: jnp.where(number == 0, a, b), state, first), (read, state)
@@ -130,7 +135,7 @@ def _converged_jvp(primals: Any, tangents: Any) -> Any:
     def stepped(told: Any, numbers: Any) -> tuple[Any, Readout]:
         model, problem = eqx.combine(told, fixed)
         state = eqx.combine(numbers, rest)
-        alike = state.settled is None  # the step that is read out is one as any other
+        alike = state.steady is None  # the step that is read out is one as any other
         new, read = step(model, problem, state, True, alike)
         if not alike:
             read = step(model, problem, state, True, True)[1]
@@ -163,10 +168,10 @@ def _sizes(state: State, read: Readout) -> Any:
     sd = jnp.stack([jnp.sqrt(read.covariance[i, i]) for i in range(len(read.covariance))])
     tilt, velocity, gyro, accel = (jnp.max(sd[part], axis=0) for part in (TILT, VELOCITY, GYRO, ACCEL))
     turn, speed = Quat(tilt, tilt, tilt, tilt), Vec3(velocity, velocity, velocity)
-    at = Trajectory(turn, speed, Vec3(gyro, gyro, gyro), Vec3(accel, accel, accel))
-    steady = None if state.settled is None else speed
-    one = jnp.ones_like(state.variance)
-    out = State(at, turn, sd[STATES:], one, state.variance, one, steady, state.early, state.moving)
+    at = NominalTrajectory(turn, speed, Vec3(gyro, gyro, gyro), Vec3(accel, accel, accel))
+    noise = tuple(AidNoise(jnp.ones_like(n.variance), n.variance, jnp.ones_like(n.variance)) for n in state.noise)
+    steady = None if state.steady is None else speed
+    out = State(at, turn, sd[STATES:], noise, steady, state.early, state.moving)
     return eqx.filter(out, eqx.is_inexact_array)
 
 
@@ -196,13 +201,13 @@ def _repeated(left: Callable[[Any], Any], b: Any, units: Any) -> Any:
     return jax.lax.while_loop(lambda at: at[4] & (at[3] < _OFTEN), again, start)[0]
 
 
-def traced(model: Model, problem: Problem, iterations: int, starts: int) -> Found:
+def solve_traced(model: Model, problem: Problem, iterations: int, starts: int) -> RowSolutions:
     """The solutions of some lanes, inside traced code."""
     begun, alpha, beta = _begun(model, problem)
-    return Found(_converged(model, problem, begun, iterations, starts), alpha, beta)
+    return RowSolutions(_converged(model, problem, begun, iterations, starts), alpha, beta)
 
 
-def padded(count: int) -> int:
+def padded_length(count: int) -> int:
     """The next of few lengths: powers of two and half way between them, at least 64."""
     size = 64
     while size < count:
@@ -213,7 +218,7 @@ def padded(count: int) -> int:
 def _filled(rows: Epoch) -> Epoch:
     """Epochs (K,) filled up with nothing, one lane: (K', 1)."""
     count = len(rows.dt)
-    more = padded(count) - count
+    more = padded_length(count) - count
 
     def fill(x: Any, value: Any = 0) -> np.ndarray:
         x = np.asarray(x)
@@ -223,10 +228,11 @@ def _filled(rows: Epoch) -> Epoch:
     return eqx.tree_at(lambda e: e.rotation.w, out, fill(rows.rotation.w, 1.0))
 
 
-_begin, _step, _again, _chosen = Program(_begun), Program(step), Program(_turned), Program(_best)
+_begin = Program(_begun, {"xla_backend_optimization_level": 1})  # it runs once, and compiles faster so
+_step, _again, _chosen = Program(step), Program(_turned), Program(_best)
 
 
-def on_host(
+def solve_on_host(
     model: Model,
     epochs: Epochs,
     last: np.ndarray,
@@ -235,15 +241,15 @@ def on_host(
     *,
     lanes: int = LANES,
     done: Callable[[int], None] | None = None,
-) -> Found:
+) -> RowSolutions:
     """The solutions of some rows, or of some models, of one log; NumPy arrays.
 
     Args:
-        model: its figures of the unit may be (n,).
+        model: its figures of the unit may be (1, n) or (3, n).
         epochs: of a log.
         last: (n,) epochs up to which fixes count.
         iterations: steps.
-        starts: headings to start from.
+        starts: how many headings to start from.
         lanes: side by side.
         done: told how many rows are finished, group by group.
     """
@@ -253,19 +259,19 @@ def on_host(
         begun, alpha, beta = _begin(own, problem)
         reads, first = [], begun
         for angle in (0.0, *turns(starts)):
-            state = begun if not reads else _again(begun, first, np.float64(angle), own.aid)
+            state = begun if not reads else _again(begun, first, np.float64(angle), own.aids)
             state, read = _looped(own, problem, state, iterations)
             first = state if not reads else first
             reads.append(read)
-        read = reads[0] if starts == 1 else _chosen(jax.tree.map(lambda *x: jnp.stack(x), *reads))
-        groups.append(jax.tree.map(lambda x, n=count: np.asarray(x)[..., :n], Found(read, alpha, beta)))
+        read = reads[0] if starts == 1 else _chosen(jax.tree.map(lambda *x: np.stack(x), *reads))
+        groups.append(jax.tree.map(lambda x, n=count: np.asarray(x)[..., :n], RowSolutions(read, alpha, beta)))
         if done is not None:
             done(count)
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *groups)
 
 
 def _looped(model: Model, problem: Problem, state: State, iterations: int) -> tuple[State, Readout]:
-    """As :func:`_rounds`, step by step."""
+    """Steps until all lanes have converged, each a call of the compiled step."""
     number, final = 0, False
     while True:
         final = number >= iterations or not np.asarray(state.moving).any()
@@ -277,12 +283,9 @@ def _looped(model: Model, problem: Problem, state: State, iterations: int) -> tu
 
 def _groups(model: Model, epochs: Epochs, rows: Epoch, last: np.ndarray, lanes: int) -> Iterator[tuple[Any, Any, int]]:
     """Models and problems of so many lanes each; the last one is filled up with its last row."""
+    imu = model.imu.over_lanes(len(last))
     for begin in range(0, len(last), lanes):
         count = min(lanes, len(last) - begin)
         index = np.minimum(begin + np.arange(lanes), len(last) - 1)
-
-        def of_lanes(x: Any, index: np.ndarray = index) -> np.ndarray:
-            return np.broadcast_to(np.asarray(x), (len(last),))[index]
-
-        own = dataclasses.replace(model, imu=jax.tree.map(of_lanes, model.imu))
-        yield own, Problem(rows, epochs.site, epochs.aid_sd, last[index], np.max(last[index]) + 1), count
+        own = dataclasses.replace(model, imu=jax.tree.map(lambda x, index=index: x[:, index], imu))
+        yield own, Problem(rows, epochs.site, epochs.sd, last[index], np.max(last[index]) + 1), count

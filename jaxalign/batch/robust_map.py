@@ -3,35 +3,42 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax.core import Tracer, eval_context
 from jaxtyping import Array, Float
 
-from jaxalign.batch.fix import PARTS, parts_of
-from jaxalign.batch.iterate import LANES, Found, on_host, traced
-from jaxalign.batch.solver import Model, Problem
-from jaxalign.epochs import Aid, Epoch, Epochs, row_numbers
+from jaxalign.aids import AbstractAid, BodyVelocity, Unknown, aids_of
+from jaxalign.arguments import check_choice, whole_number
+from jaxalign.batch.iterate import LANES, RowSolutions, solve_on_host, solve_traced
+from jaxalign.batch.measurement import Unknowns, first_velocity, unknowns_of
+from jaxalign.batch.problem import Model, Problem
+from jaxalign.earth import Site
+from jaxalign.epochs import Epoch, Epochs, row_numbers
 from jaxalign.errors import UserError
-from jaxalign.inertial_unit import ImuErrors
+from jaxalign.front_end import FrontEnd
+from jaxalign.inertial_unit import PER_SAMPLE, ImuErrors, imu_errors
 from jaxalign.method import AbstractMethod
-from jaxalign.observe.options import check_choice, check_count, check_interval, optional_count
-from jaxalign.parametrization import tunable
+from jaxalign.nav_estimate import Block, blocks_of
+from jaxalign.parametrization import Numbers, optional_count, tunable, words
 from jaxalign.precision import require_x64
-from jaxalign.solution import FilterRecord, Solution, status_bits
+from jaxalign.solution import Solution, assembled
+from jaxalign.wgs84 import SEMI_MAJOR_AXIS, curvature
 
 __all__ = ["FEWEST_FIXES", "RobustMap"]
 
 FEWEST_FIXES = 3
 """That an attitude takes."""
-_DEG = np.deg2rad(1.0)
+_DEG = float(np.deg2rad(1.0))
 _BLIND = 20.0 * _DEG
 _MOST_ITERATIONS = 1000
+_STARTS = 4
 
 
 class RobustMap(AbstractMethod):
@@ -50,96 +57,130 @@ class RobustMap(AbstractMethod):
     the noise of the fix of that row, and ``filter.covariance`` that of the best solution, where there are several.
 
     Attributes:
-        imu: figures of the inertial unit.
-        outliers: probability of an outlier beforehand.
-        spread: standard deviation of outliers over that of the others.
-        noise: standard deviation of the aid. "at_least" (default): the stated one, or that of the data where it is
+        imu: errors of the inertial unit: the standard deviations of its biases beforehand, its white noise, and the
+            random walk of its biases, which are taken as constant over an interval between epochs.
+        outlier_probability: beforehand, of a fix.
+        outlier_ratio: standard deviation of outliers over that of the others.
+        aid_noise: standard deviation of the aid. "at_least" (default): the stated one, or that of the data where it is
             larger; "estimated": that of the data, the stated one being worth a few fixes; "stated": as it is. Data tell
             of white noise alone: where a stated figure covers slow errors too, the estimate is too small.
-        calibrate: unknowns of the aid too: "none" (default), "mounting" (scale factor and misalignment of a body aid),
-            "latency" (its velocities are of some time ago), "lever" (it is not where the inertial unit is), "slow" (an
-            error of its velocity that fades and renews itself), or some of them: "latency+lever".
-        scale_sd: of the scale factor beforehand.
-        mounting_sd_deg: of each angle of the misalignment beforehand.
-        latency_sd: of the latency beforehand, s. It is resolved to a fraction of the interval between epochs.
-        lever_sd: of each component of the lever arm beforehand, m.
-        slow_sd: of each component of the slow error, m/s.
-        slow_time: after which it has renewed itself, s.
-        starts: headings to start from. 1 (default): the one found without a guess. 4 for low-cost units, whose biases
-            may hide the turn of the Earth: more than one heading may fit, and the covariance has them all in mind.
+        calibrate: names of the unknowns of the aids that are estimated too, such as "latency" or "lever" (of every
+            aid that has it), or "dvl.lever" (of the aid of that name). What there is: ``AbstractAid.unknowns``. A
+            latency is resolved to a fraction of the interval between epochs.
+        priors: standard deviations of the unknowns beforehand, by aid and name ("body.lever"; angles with "_deg"), and
+            for a slow error the time after which it has renewed itself ("body.slow_seconds"); by default those of the
+            aid's class.
+        headings: how many to start from. 1: the one found without a guess. 4 for low-cost units, whose biases may hide
+            the turn of the Earth: more than one heading may fit, and the covariance has them all in mind. None
+            (default): 1 where an aid measures a whole velocity or the vehicle stands, else 4: a guess by a part of
+            it may be far off.
         iterations: Gauss-Newton steps, at most; fewer where it has converged. Up to 1000.
         tolerance: it has converged where a step moves it by less, in standard deviations, and the noise by less of
             itself. Derivatives hold to about a hundred times as much; with a navigation aid, those of the covariance
             and of the likelihood are approximate: they leave out how the velocities that are taken for steady depend on
             the gains of the filter.
-        aid: that it observes.
-        interval_samples: IMU samples per epoch; None: as the log has it.
+        aids: that it observes.
+        front_end: makes epochs of a log.
 
     Source: none of the papers.
     """
 
     has_covariance: ClassVar[bool] = True
     rows_are_costly: ClassVar[bool] = True
+    takes_components: ClassVar[bool] = True
     finds_noise: ClassVar[bool] = True
     judges_by_covariance: ClassVar[bool] = True
     needs: ClassVar[str] = "three usable fixes"
-    prefilter: ClassVar[None] = None
-    imu: ImuErrors = eqx.field(default_factory=ImuErrors)
-    outliers: Float[Array, ""] = tunable(0.05, unit="1", bounds=(1e-4, 0.5))
-    spread: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))
-    scale_sd: Float[Array, ""] = tunable(0.005, unit="1", bounds=(1e-6, 0.1))
-    mounting_sd_deg: Float[Array, ""] = tunable(1.0, unit="deg", bounds=(1e-4, 10.0))
-    latency_sd: Float[Array, ""] = tunable(0.1, unit="s", bounds=(1e-4, 5.0))
-    noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
-    lever_sd: Float[Array, ""] = tunable(1.0, unit="m", bounds=(1e-3, 1e3))
-    slow_sd: Float[Array, ""] = tunable(0.005, unit="m/s", bounds=(1e-6, 10.0))
-    slow_time: Float[Array, ""] = tunable(300.0, unit="s", bounds=(1.0, 1e6))
-    calibrate: str = eqx.field(static=True, default="none")
-    starts: int = eqx.field(static=True, default=1)
+    takes_prefilter: ClassVar[bool] = False
+    imu: ImuErrors = eqx.field(default_factory=partial(imu_errors, "navigation"), metadata={"hides": PER_SAMPLE})
+    outlier_probability: Float[Array, ""] = tunable(0.05, unit="1", bounds=(1e-4, 0.5))
+    outlier_ratio: Float[Array, ""] = tunable(30.0, unit="1", bounds=(3.0, 1e3))
+    aid_noise: Literal["at_least", "estimated", "stated"] = eqx.field(static=True, default="at_least")
+    calibrate: tuple[str, ...] = eqx.field(static=True, default=())
+    priors: Numbers = None  # type: ignore[assignment]  # made of the aids
+    headings: int | None = optional_count()
     iterations: int = eqx.field(static=True, default=12)
     tolerance: float = eqx.field(static=True, default=1e-5)
-    aid: Aid = eqx.field(static=True, default="body", metadata={"given": True})
-    interval_samples: int | None = optional_count()
+    aids: tuple[AbstractAid, ...] = eqx.field(static=True, default=(BodyVelocity(),), metadata={"given": True})
+    front_end: FrontEnd = eqx.field(default_factory=FrontEnd, kw_only=True)
+
+    def __post_init__(self):
+        self.aids = aids_of(self.aids)
+        named = words(self.calibrate)
+        if named is None:
+            raise UserError(f"calibrate = {self.calibrate!r}: must be names of unknowns, such as ('latency', 'lever')")
+        self.calibrate = named
+        self.priors = Numbers.of((spec for aid in self.aids for spec in _priors_of(aid)), self.priors)
 
     def __check_init__(self):
-        check_choice("noise", self.noise, ("at_least", "estimated", "stated"))
-        check_choice("aid", self.aid, ("body", "nav", "static"))
-        check_interval(self.interval_samples, "interval_samples")
-        for name in ("starts", "iterations"):
-            check_count(name, getattr(self, name))
+        self.imu.check_densities()
+        check_choice("aid_noise", self.aid_noise, ("at_least", "estimated", "stated"))
+        for name in ("headings", "iterations"):
+            if getattr(self, name) is not None:
+                whole_number(name, getattr(self, name))
         if self.iterations > _MOST_ITERATIONS:
             raise UserError(f"iterations = {self.iterations}: at most {_MOST_ITERATIONS}; 12 do for nearly all logs")
         if not 0 < self.tolerance < 1:
             raise UserError(f"tolerance = {self.tolerance}: must be above 0 and below 1")
-        parts = [] if self.calibrate == "none" else str(self.calibrate).split("+")
-        if not set(parts) <= set(PARTS) or len(set(parts)) < len(parts):
-            raise UserError(
-                f"calibrate = {self.calibrate!r}: must be none, or some of {', '.join(PARTS)}, each once, joined by +"
-            )
-        if "mounting" in self.unknowns and self.aid != "body":
-            raise UserError("calibrate: scale and misalignment are those of a body aid: leave mounting out")
-        if self.unknowns and self.aid == "static":
-            raise UserError("calibrate: a standing vehicle has no aid to calibrate")
+        for aid in self.aids:
+            slow = aid.known_unknowns.get("slow")
+            if slow is not None and slow.size < len(aid.components):
+                raise UserError(f"aid {aid.name}: slow has {slow.size} numbers for {len(aid.components)} components")
+        known = [name for aid in self.aids for own in aid.unknowns for name in (own.name, f"{aid.name}.{own.name}")]
+        for name in self.calibrate:
+            if "+" in name:
+                raise UserError(f"calibrate: {name!r}: commas are between names: write {name.replace('+', ',')}")
+            if name not in known:
+                there = ", ".join(dict.fromkeys(name for name in known if "." not in name)) or "nothing to calibrate"
+                of = " and ".join(aid.name for aid in self.aids)
+                raise UserError(f"calibrate: {name!r} is no unknown of {of}: there is {there}")
+
+    @property
+    def heading_count(self) -> int:
+        """How many headings the search starts from."""
+        return self.headings or (1 if any(aid.full_velocity for aid in self.aids) else _STARTS)
+
+    @property
+    def estimated(self) -> Unknowns:
+        """Of each aid the names of the unknowns that are estimated."""
+        return tuple(aid.estimated(self.calibrate) for aid in self.aids)
 
     @property
     def unknowns(self) -> dict[str, slice]:
-        """Where in ``Solution.filter.calibration`` the unknowns of the aid are, by name."""
-        return parts_of(tuple(self.calibrate.split("+")))
+        """Where in ``Solution.filter.calibration`` the unknowns are, by name (of several aids: aid.name)."""
+        places = zip(self.aids, unknowns_of(self.aids, self.estimated), strict=True)
+        if len(self.aids) == 1:
+            return next(places)[1]
+        return {f"{aid.name}.{name}": where for aid, own in places for name, where in own.items()}
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Of the covariance of its solutions."""
+        sizes = {name: where.stop - where.start for name, where in self.unknowns.items()}
+        return blocks_of(attitude=3, velocity=3, gyro_bias=3, accel_bias=3, **sizes)
 
     @property
     def model(self) -> Model:
         """What it knows beforehand, without what does not change a step."""
-        known = {
-            "mounting": [self.scale_sd, *[_number(self.mounting_sd_deg) * _DEG] * 3],
-            "latency": [self.latency_sd],
-            "lever": [self.lever_sd] * 3,
-            "slow": [self.slow_sd] * 3,
-        }
-        names = tuple(self.unknowns)
-        sd = [x for name in names for x in known[name]]
-        fade = [self.slow_time if name == "slow" else jnp.inf for name in names for _ in known[name]]
+        sd, fade = [], []
+        for aid, names in zip(self.aids, self.estimated, strict=True):
+            for name, unknown in aid.known_unknowns.items():
+                if name in names:
+                    sd += [_number(self.priors[f"{aid.name}.{_key(unknown)}"]) * _unit(unknown)] * unknown.size
+                    slow = unknown.seconds is not None
+                    fade += [self.priors[f"{aid.name}.{name}_seconds"] if slow else jnp.inf] * unknown.size
         sd, fade, limit = _stacked(sd), _stacked(fade), np.float64(self.tolerance)
-        return Model(self.imu, self.outliers, self.spread, sd, fade, limit, names, self.noise, self.aid)
+        return Model(
+            self.imu,
+            self.outlier_probability,
+            self.outlier_ratio,
+            sd,
+            fade,
+            limit,
+            self.estimated,
+            self.aid_noise,
+            self.aids,
+        )
 
     def with_imu(self, imu: ImuErrors) -> Self:
         """With these figures of the inertial unit."""
@@ -163,11 +204,13 @@ class RobustMap(AbstractMethod):
         require_x64(epochs)
         numbers = row_numbers(len(epochs), rows)
         if any(isinstance(x, Tracer) for x in jax.tree.leaves((self, epochs))):
-            return _assembled(self, epochs.rows, numbers, _rows_of(self, epochs, numbers))
+            return _assembled(self, epochs.site, epochs.rows, numbers, _rows_of(self, epochs, numbers))
         lanes = min(LANES, 1 << (len(numbers) - 1).bit_length())
-        with jax.ensure_compile_time_eval():  # inside traced code too, where both are constants
-            found = on_host(self.model, epochs, numbers, self.iterations, self.starts, lanes=lanes, done=done)
-            return _assembled(self, epochs.rows, numbers, found)
+        with eval_context():  # inside traced code too, where both are constants
+            found = solve_on_host(
+                self.model, epochs, numbers, self.iterations, self.heading_count, lanes=lanes, done=done
+            )
+            return _assembled(self, epochs.site, epochs.rows, numbers, found)
 
     def solve_runs(self, epochs: Epochs, rows: Any = 1) -> Solution:
         """Align many runs side by side: leaves of ``epochs.rows`` that differ have the runs on the last axis. Pure.
@@ -187,6 +230,30 @@ class RobustMap(AbstractMethod):
         return _runs_of(self, epochs, numbers)
 
 
+def _key(unknown: Unknown) -> str:
+    """The name of an unknown in files and options, where angles are in degrees."""
+    return f"{unknown.name}_deg" if unknown.unit == "rad" else unknown.name
+
+
+def _unit(unknown: Unknown) -> float:
+    return _DEG if unknown.unit == "rad" else 1.0
+
+
+def _priors_of(aid: AbstractAid) -> Iterator[tuple[str, float, str, tuple[float, float]]]:
+    """Name, value, unit and bounds of what is known of its unknowns beforehand."""
+    for unknown in aid.unknowns:
+        unit = _unit(unknown)
+        low, high = (x / unit for x in unknown.bounds)
+        yield (
+            f"{aid.name}.{_key(unknown)}",
+            unknown.sd / unit,
+            "deg" if unknown.unit == "rad" else unknown.unit,
+            (low, high),
+        )
+        if unknown.seconds is not None:
+            yield f"{aid.name}.{unknown.name}_seconds", unknown.seconds, "s", (1.0, 1e6)
+
+
 def _number(x: Any) -> Any:
     """On the host without a program of its own for what is done with it."""
     return x if isinstance(x, Tracer) else np.float64(x)
@@ -199,12 +266,14 @@ def _stacked(numbers: list[Any]) -> Any:
     return np.array([float(x) for x in numbers], np.float64)
 
 
-def _rows_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Found:
+def _rows_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> RowSolutions:
     """Rows of one log as lanes, a group at a time."""
     one = jax.tree.map(lambda x: x[:, None], epochs.rows)
 
-    def group(last: Any) -> Found:
-        return traced(method.model, Problem(one, epochs.site, epochs.aid_sd, last), method.iterations, method.starts)
+    def group(last: Any) -> RowSolutions:
+        return solve_traced(
+            method.model, Problem(one, epochs.site, epochs.sd, last), method.iterations, method.heading_count
+        )
 
     if len(numbers) <= 2 * LANES:
         return group(jnp.asarray(numbers))
@@ -227,7 +296,7 @@ def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution
         for n, size in ((runs, together), (count, beside))
     )
 
-    def group(some: Any) -> Found:
+    def group(some: Any) -> RowSolutions:
         chosen, lasts = some
 
         def lanes(x: Any) -> Any:
@@ -235,8 +304,8 @@ def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution
                 return x[:, None]
             return jnp.broadcast_to(x[:, chosen][:, :, None], (len(x), together, beside)).reshape(len(x), -1)
 
-        problem = Problem(jax.tree.map(lanes, epochs.rows), epochs.site, epochs.aid_sd, jnp.tile(lasts, together))
-        found = traced(method.model, problem, method.iterations, method.starts)
+        problem = Problem(jax.tree.map(lanes, epochs.rows), epochs.site, epochs.sd, jnp.tile(lasts, together))
+        found = solve_traced(method.model, problem, method.iterations, method.heading_count)
         return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], together, beside), -2, 0), found)
 
     pairs = np.repeat(of_runs, len(of_rows), axis=0), np.tile(numbers[of_rows], (len(of_runs), 1))
@@ -248,48 +317,67 @@ def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution
         return x.reshape(of_runs.size, *x.shape[2:-2], of_rows.size)[:runs, ..., :count]
 
     rows = jax.tree.map(lambda x: x.T if x.ndim > 1 else jnp.broadcast_to(x, (runs, len(x))), epochs.rows)
-    return jax.vmap(lambda rows, found: _assembled(method, rows, numbers, found))(rows, jax.tree.map(by_run, found))
+    return jax.vmap(lambda rows, found: _assembled(method, epochs.site, rows, numbers, found))(
+        rows, jax.tree.map(by_run, found)
+    )
 
 
-def _assembled(method: RobustMap, rows: Epoch, numbers: np.ndarray, found: Found) -> Solution:
+def _assembled(method: RobustMap, site: Site, rows: Epoch, numbers: np.ndarray, found: RowSolutions) -> Solution:
     """Rows on the first axis, and what to say of each; on the host with NumPy, to compile nothing."""
-    given = rows.dt, rows.valid, found
+    given = rows.dt, rows.fixes, found, site
     xp = jnp if any(isinstance(x, Tracer) for x in jax.tree.leaves(given)) else np
-    dt, valid, (read, alpha, beta) = jax.tree.map(xp.asarray, given)
+    dt, fixes, (read, alpha, beta), site = jax.tree.map(xp.asarray, given)
     read, alpha, beta = jax.tree.map(lambda x: xp.moveaxis(x, -1, 0), (read, alpha, beta))
     finite = xp.all(xp.isfinite(read.q_nb), axis=1) & xp.all(xp.isfinite(read.tilt), axis=(1, 2))
-    defined = finite & (xp.cumsum(valid)[numbers] >= FEWEST_FIXES)
-    observable = defined & (read.tilt[:, 2, 2] < _BLIND**2)
-    bits = status_bits(defined=defined, observable=observable, aided=valid[numbers], finite=finite, xp=xp)
-
-    def masked(x: Any) -> Any:
-        return xp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
-
-    record = {
-        "gyro_bias": masked(read.gyro),
-        "accel_bias": masked(read.accel),
-        "covariance": masked(read.covariance),
-        "log_likelihood": masked(read.log_likelihood),
-        "calibration": masked(read.unknowns) if method.unknowns else None,
+    aided = fixes[0].valid
+    for fix in fixes[1:]:
+        aided = aided | fix.valid
+    aids = {
+        aid.name: (residual, weight, sd, fix.valid[numbers])
+        for aid, fix, residual, weight, sd in zip(method.aids, fixes, read.residual, read.weight, read.sd, strict=True)
     }
-    q_nb = xp.where(read.q_nb[:, :1] < 0, -read.q_nb, read.q_nb)
-    rows_of = {
-        "time": xp.cumsum(dt)[numbers],
-        "q_nb": xp.where(defined[:, None], q_nb, xp.asarray([1.0, 0.0, 0.0, 0.0])),
-        "defined": defined,
-        "observable": observable,
-        "eigengap": xp.zeros(len(numbers)),
-        "residual": masked(read.residual),
-        "weight": read.weight,
-        "alpha": alpha,
-        "beta": beta,
-        "covariance": masked(read.tilt),
-        "status": bits,
-        "aid_sd": read.aid_sd,
+    first = aids[method.aids[first_velocity(method.aids)].name]
+    of_filter = {
+        "gyro_bias": read.gyro,
+        "accel_bias": read.accel,
+        "covariance": read.covariance,
+        "log_likelihood": read.log_likelihood,
+        "calibration": read.unknowns if method.unknowns else None,
     }
-    if xp is np:
-        rows_of, record = jax.device_put((rows_of, record), _device(rows))
-    return Solution(**rows_of, filter=FilterRecord(**record))
+    return assembled(
+        time=xp.cumsum(dt)[numbers],
+        q_nb=read.q_nb,
+        defined=xp.cumsum(aided)[numbers] >= FEWEST_FIXES,
+        observable=read.tilt[:, 2, 2] < _BLIND**2,
+        finite=finite,
+        aided=aided[numbers],
+        residual=read.residual_n0,
+        weight=first[1],
+        alpha=alpha,
+        beta=beta,
+        covariance=read.tilt,
+        aid_sd=first[2],
+        filter=of_filter,
+        nav={
+            "velocity": read.velocity,
+            "position": _position(site, read.displacement, xp),
+            "unknowns": read.unknowns,
+            "covariance": read.covariance,
+        },
+        blocks=method.blocks,
+        aids=aids,
+        xp=xp,
+        put=(lambda tree: jax.device_put(tree, _device(rows))) if xp is np else (lambda tree: tree),
+    )
+
+
+def _position(site: Site, way: Any, xp: Any) -> Any:
+    """(K, 3) latitude, longitude (rad) and height (m) after a way (K, 3), m, n."""
+    lat, lon, h = (xp.asarray(x) for x in (site.lat, site.lon, site.h))
+    middle = lat + 0.5 * way[:, 1] / (SEMI_MAJOR_AXIS + h)
+    meridian, prime_vertical = curvature(xp.sin(middle), xp.sqrt)
+    east = way[:, 0] / ((prime_vertical + h) * xp.cos(middle))
+    return xp.stack([lat + way[:, 1] / (meridian + h), lon + east, h + way[:, 2]], axis=1)
 
 
 def _device(rows: Epoch) -> Any:

@@ -24,11 +24,13 @@ __all__ = [
     "Prior",
     "Process",
     "Smoothed",
-    "filtered",
+    "cross_rows",
+    "filter_forward",
+    "process_noise_effect",
     "propagate",
-    "shock",
-    "smoothed",
-    "transposed",
+    "propagate_transposed",
+    "smooth_backward",
+    "times",
 ]
 
 
@@ -67,7 +69,7 @@ class LinearProblem(eqx.Module):
         gap: (K, m, L) measured minus nominal; zero where there is none.
         slope: (K, m, n, L); zero where there is no measurement.
         variance: (K, m, L) of the noise; any positive number where there is no measurement.
-        used: (K, L) where there is one.
+        used: (K, m, L) where there is one.
         prior: of the first errors.
         length: of the rows that are looked at, see :func:`jaxalign.batch.rows.over_rows`; None: of all.
     """
@@ -77,7 +79,7 @@ class LinearProblem(eqx.Module):
     gap: Float[Array, "K m L"]
     slope: Float[Array, "K m n L"]
     variance: Float[Array, "K m L"]
-    used: Bool[Array, "K L"]
+    used: Bool[Array, "K m L"]
     prior: Prior
     length: Any = None
 
@@ -100,13 +102,13 @@ class Filtered(eqx.Module):
     log_likelihood: Float[Array, " L"]
 
 
-def _times(m: Any, rows: Any) -> Any:
+def times(m: Any, rows: Any) -> Any:
     """A 3x3 matrix (3, 3, L) times three rows (3, ..., L): sums that fuse, where a dot of this size would not."""
     shape = (3, *[1] * (rows.ndim - 2), m.shape[-1])
     return _dot([x.reshape(shape) for x in _apart(m, 1)], _apart(rows))
 
 
-def _crossed(v: Any, rows: Any) -> Any:
+def cross_rows(v: Any, rows: Any) -> Any:
     """``[v x]`` times three rows."""
     (x, y, z), (a, b, c) = _apart(v), _apart(rows)
     return jnp.stack([y * c - z * b, z * a - x * c, x * b - y * a])
@@ -114,9 +116,9 @@ def _crossed(v: Any, rows: Any) -> Any:
 
 def _moved(row: Intervals, x: Any) -> Any:
     """Tilt and velocity (6, ..., L) after an interval; x (12 or more, ..., L) before it."""
-    tilt = x[TILT] - _times(row.turned, x[GYRO])
-    carried = x[VELOCITY] - _crossed(row.gained, x[TILT]) - _crossed(row.spin, x[VELOCITY])
-    return jnp.concatenate([tilt, carried + _times(row.coupled, x[GYRO]) - _times(row.turned, x[ACCEL])])
+    tilt = x[TILT] - times(row.turned, x[GYRO])
+    carried = x[VELOCITY] - cross_rows(row.gained, x[TILT]) - cross_rows(row.spin, x[VELOCITY])
+    return jnp.concatenate([tilt, carried + times(row.coupled, x[GYRO]) - times(row.turned, x[ACCEL])])
 
 
 def propagate(row: Intervals, fade: Any, x: Float[Array, "n L"]) -> Float[Array, "n L"]:
@@ -124,14 +126,14 @@ def propagate(row: Intervals, fade: Any, x: Float[Array, "n L"]) -> Float[Array,
     return jnp.concatenate([_moved(row, x), x[6:STATES], x[STATES:] * fade])
 
 
-def transposed(row: Intervals, fade: Any, r: Float[Array, "n L"]) -> Float[Array, "n L"]:
+def propagate_transposed(row: Intervals, fade: Any, r: Float[Array, "n L"]) -> Float[Array, "n L"]:
     """The transpose of :func:`propagate`."""
     turned, coupled = (jnp.swapaxes(m, 0, 1) for m in (row.turned, row.coupled))
     t, v = r[TILT], r[VELOCITY]
-    tilt = t + _crossed(row.gained, v)
-    velocity = v + _crossed(row.spin, v)
-    gyro = r[GYRO] - _times(turned, t) + _times(coupled, v)
-    return jnp.concatenate([tilt, velocity, gyro, r[ACCEL] - _times(turned, v), r[STATES:] * fade])
+    tilt = t + cross_rows(row.gained, v)
+    velocity = v + cross_rows(row.spin, v)
+    gyro = r[GYRO] - times(turned, t) + times(coupled, v)
+    return jnp.concatenate([tilt, velocity, gyro, r[ACCEL] - times(turned, v), r[STATES:] * fade])
 
 
 def _propagated(row: Intervals, process: Process, p: Any) -> Any:
@@ -148,7 +150,7 @@ def _propagated(row: Intervals, process: Process, p: Any) -> Any:
 
 
 def _apart(x: Any, axis: int = 0) -> list[Any]:
-    """Its slices along an axis: taken once, and without the detours of indexing, they are traced faster."""
+    """The slices of an array along an axis: taken once, and without the detours of indexing, they are traced faster."""
     return [jax.lax.index_in_dim(x, i, axis, keepdims=False) for i in range(x.shape[axis])]
 
 
@@ -160,8 +162,8 @@ def _dot(a: list[Any], b: list[Any]) -> Any:
     return total
 
 
-def _updated(x: Any, p: Any, gap: Any, slope: Any, variance: Any) -> Any:
-    """Take in the m components of one measurement together.
+def _updated(x: Any, p: Any, gap: Any, slope: Any, variance: Any, used: Any) -> Any:
+    """Take in the m components of the measurements of one epoch together.
 
     With ``S = H P H' + R = L D L'`` the components are made independent, which needs no inverse.
     """
@@ -187,7 +189,8 @@ def _updated(x: Any, p: Any, gap: Any, slope: Any, variance: Any) -> Any:
     innovation = [e / s for e, s in zip(surprise, size, strict=True)]
     x = x + sum(g * e for g, e in zip(across, innovation, strict=True))
     p = p - sum(k[:, None] * g[None] for k, g in zip(gain, across, strict=True))
-    fit = sum(e * u for e, u in zip(innovation, surprise, strict=True)) + sum(jnp.log(s) for s in size)
+    terms = (e * u + jnp.log(s) for e, u, s in zip(innovation, surprise, size, strict=True))
+    fit = sum(jnp.where(there, term, 0.0) for there, term in zip(_apart(used), terms, strict=True))
     for i in reversed(range(m)):  # back from the independent components
         for j in range(i + 1, m):
             gain[i] = gain[i] - lower[j][i] * gain[j]
@@ -195,8 +198,8 @@ def _updated(x: Any, p: Any, gap: Any, slope: Any, variance: Any) -> Any:
     return x, p, jnp.stack(innovation), jnp.stack(gain, axis=1), fit
 
 
-def filtered(problem: LinearProblem, keep: bool = False) -> Filtered:
-    """The Kalman filter, forward.
+def filter_forward(problem: LinearProblem, keep: bool = False) -> Filtered:
+    """Run the Kalman filter forward.
 
     Args:
         problem: with the defects of the trajectory as known inputs.
@@ -210,9 +213,8 @@ def filtered(problem: LinearProblem, keep: bool = False) -> Filtered:
         x = propagate(interval, process.fade, x)
         x = jnp.concatenate([x[:STATES] + interval.defect, x[STATES:]])
         p = _propagated(interval, process, p)
-        x, p, innovation, gain, fit = _updated(x, p, gap, slope, variance)
-        likelihood = likelihood - 0.5 * jnp.where(used, fit, 0.0)
-        return (x, p, likelihood), ((x, p) if keep else None, innovation, gain)
+        x, p, innovation, gain, fit = _updated(x, p, gap, slope, variance, used)
+        return (x, p, likelihood - 0.5 * fit), ((x, p) if keep else None, innovation, gain)
 
     prior = problem.prior
     start = (prior.mean, jnp.eye(len(prior.mean))[:, :, None] * prior.variance[:, None], jnp.zeros(lanes))
@@ -245,21 +247,21 @@ class Smoothed(eqx.Module):
     pull: Float[Array, "K m L"]
 
 
-def shock(process: Process, costate: Any) -> Any:
+def process_noise_effect(process: Process, costate: Any) -> Any:
     """``Q costate``, (n, L)."""
     motion = _dot(_apart(process.motion, 1), _apart(costate[:6]))
     return jnp.concatenate([motion, process.others * costate[6:]])
 
 
-def smoothed(problem: LinearProblem, found: Filtered) -> Smoothed:
-    """Backward and forward again."""
+def smooth_backward(problem: LinearProblem, found: Filtered) -> Smoothed:
+    """Errors, noise and costates by all measurements: a pass backward and one forward."""
     process, prior = problem.process, problem.prior
 
     def backward(r: Any, row: Any) -> Any:
         interval, process, slope, innovation, gain = row
         u = innovation - jnp.sum(gain * r[:, None], axis=0)
         r = r + jnp.sum(slope * u[:, None], axis=0)
-        return transposed(interval, process.fade, r), (r, u)
+        return propagate_transposed(interval, process.fade, r), (r, u)
 
     rows = (problem.intervals, process, problem.slope, found.innovation, found.gain)
     none = jnp.zeros_like(prior.mean)
@@ -268,7 +270,7 @@ def smoothed(problem: LinearProblem, found: Filtered) -> Smoothed:
 
     def forward(x: Any, row: Any) -> Any:
         interval, process, costate = row
-        x = propagate(interval, process.fade, x) + shock(process, costate)
+        x = propagate(interval, process.fade, x) + process_noise_effect(process, costate)
         x = jnp.concatenate([x[:STATES] + interval.defect, x[STATES:]])
         return x, x
 

@@ -18,15 +18,15 @@ from jaxalign.batch.smoother import (
     Filtered,
     LinearProblem,
     Smoothed,
-    filtered,
+    filter_forward,
+    process_noise_effect,
     propagate,
-    shock,
-    smoothed,
-    transposed,
+    propagate_transposed,
+    smooth_backward,
 )
 from jaxalign.batch.trajectory import STATES
 
-__all__ = ["solved"]
+__all__ = ["solve_linear"]
 
 
 class _Sides(NamedTuple):
@@ -44,10 +44,12 @@ def _sides(problem: LinearProblem, at: Smoothed) -> _Sides:
     intervals, process, fade = problem.intervals, problem.process, problem.process.fade
     earlier = jnp.concatenate([at.first[None], at.error[:-1]])
     defect = jnp.concatenate([intervals.defect, jnp.zeros_like(at.error[:, STATES:])], axis=1)
-    interval = jax.vmap(propagate)(intervals, fade, earlier) + defect + jax.vmap(shock)(process, at.costate)
+    interval = (
+        jax.vmap(propagate)(intervals, fade, earlier) + defect + jax.vmap(process_noise_effect)(process, at.costate)
+    )
     measured = problem.gap - jnp.sum(problem.slope * at.error[:, None], axis=2) - problem.variance * at.pull
     pulled = jnp.sum(problem.slope * at.pull[:, :, None], axis=1)
-    handed = jax.vmap(transposed)(intervals, fade, at.costate)
+    handed = jax.vmap(propagate_transposed)(intervals, fade, at.costate)
     costate = pulled + jnp.concatenate([handed[1:], jnp.zeros_like(handed[:1])])
     prior = problem.prior.mean + problem.prior.variance * at.before
     return _Sides(prior, interval, measured, handed[0], costate)
@@ -78,14 +80,14 @@ def _response(problem: LinearProblem, kept: Filtered, sides: _Sides) -> tuple[An
         r = r + costate
         u = left - jnp.sum(gain * r[:, None], axis=0)
         r = r + jnp.sum(slope * u[:, None], axis=0)
-        return transposed(interval, fade, r), (r, u)
+        return propagate_transposed(interval, fade, r), (r, u)
 
     rows = (problem.intervals, fade, problem.slope, kept.gain, left, sides.costate)
     before, (costate, pull) = jax.lax.scan(backward, jnp.zeros_like(start), rows, reverse=True)
 
     def again(x: Any, row: Any) -> Any:
         interval, process, costate, side = row
-        x = propagate(interval, process.fade, x) + side + shock(process, costate)
+        x = propagate(interval, process.fade, x) + side + process_noise_effect(process, costate)
         return x, x
 
     first = sides.prior + variance * (before + sides.before)
@@ -94,19 +96,19 @@ def _response(problem: LinearProblem, kept: Filtered, sides: _Sides) -> tuple[An
 
 
 @jax.custom_jvp
-def solved(problem: LinearProblem) -> tuple[Filtered, Float[Array, "K n L"], Float[Array, "K m L"]]:
+def solve_linear(problem: LinearProblem) -> tuple[Filtered, Float[Array, "K n L"], Float[Array, "K m L"]]:
     """What the filter leaves, the errors at every epoch, and the noise of each measurement by all measurements."""
-    found = filtered(problem)
-    at = smoothed(problem, found)
+    found = filter_forward(problem)
+    at = smooth_backward(problem, found)
     return found, at.error, problem.variance * at.pull
 
 
-@solved.defjvp
-def _solved_jvp(primals: Any, tangents: Any) -> Any:
+@solve_linear.defjvp
+def _solve_linear_jvp(primals: Any, tangents: Any) -> Any:
     (problem,), (moved,) = primals, tangents
-    kept = jax.lax.stop_gradient(filtered(problem, keep=True))
-    at = jax.lax.stop_gradient(smoothed(problem, kept))
-    found, changed = jax.jvp(filtered, (problem,), (moved,))
+    kept = jax.lax.stop_gradient(filter_forward(problem, keep=True))
+    at = jax.lax.stop_gradient(smooth_backward(problem, kept))
+    found, changed = jax.jvp(filter_forward, (problem,), (moved,))
     _, sides = jax.jvp(lambda p: _sides(p, at), (problem,), (moved,))
     error, pull = _response(jax.lax.stop_gradient(problem), kept, sides)
     noise = problem.variance * pull + moved.variance * at.pull

@@ -9,15 +9,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.aids import Axes
+from jaxalign.batch.pool import Pool
 from jaxalign.batch.reweight import lower_median
-from jaxalign.batch.trajectory import Trajectory
+from jaxalign.batch.trajectory import NominalTrajectory
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
 from jaxalign.estimate import davenport
-from jaxalign.observe.frames import Place, gravity_impulse, turn
+from jaxalign.propagation import Place, advance_body, advance_nav
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["InitialState", "Views", "misfit", "robust_start", "views"]
+__all__ = ["InitialState", "IntegratedVectors", "integrate_vectors", "misfit", "robust_start"]
 
 _CUTOFF = 6.0  # Tukey's
 _ROUNDS = 12
@@ -37,11 +39,11 @@ class InitialState(eqx.Module):
     velocity: Vec3
 
 
-class Views(eqx.Module):
+class IntegratedVectors(eqx.Module):
     """What the inertial unit and the aid say of the velocity gained since the first epoch.
 
-    ``C_n0b0 beta - alpha`` is the first velocity (body aid), less it (navigation aid), or zero (standing), but for
-    noise. Left out is what would need the attitude: with a body aid the transport rate and the term of Coriolis
+    ``C_n0b0 beta - alpha`` is the first velocity (measured in b), or less it (in n), but for noise. Left out is what
+    would need the attitude: with a velocity in b the transport rate and the term of Coriolis
     (0.1 m/s after 300 s at 5 m/s).
 
     Attributes:
@@ -60,52 +62,53 @@ class Views(eqx.Module):
     force: Vec3
     fallen: Vec3
 
-    def trajectory(self, start: InitialState) -> Trajectory:
+    def trajectory(self, start: InitialState) -> NominalTrajectory:
         """The trajectory that leads on from a start, without biases and the term of Coriolis."""
         zero = jax.tree.map(lambda x: 0.0 * x, self.force)
         velocity = start.velocity + start.attitude.rotate(self.force) + self.fallen
-        at = Trajectory(start.attitude * self.q_b0b, velocity, zero, zero)
+        at = NominalTrajectory(start.attitude * self.q_b0b, velocity, zero, zero)
         shape = jnp.broadcast_shapes(*(x.shape for x in jax.tree.leaves(at)))
         return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), at)
 
 
-def views(rows: Epoch, site: Site, aid: str) -> Views:
+def integrate_vectors(rows: Epoch, site: Site, seen: Pool) -> IntegratedVectors:
     """Sum up a log, or several side by side.
 
     Args:
         rows: leaves (K, ...).
         site: leaves () or those that follow K.
-        aid: "static", "body" or "nav".
+        seen: velocities.
     """
     place = Place.of(site)
-    w_ie, nav = place.earth_rate, aid == "nav"
+    w_ie, nav = place.earth_rate, seen.axes is Axes.NAV
     shape = rows.dvel.x.shape[1:]
 
-    def step(carry: Any, row: Any) -> Any:
-        q_b0b, q_n0n, force, fallen, moved, seen = carry
-        velocity = jax.tree.map(lambda new, old: jnp.where(row.valid, new, old), row.velocity, seen)
+    def step(carry: Any, given: Any) -> Any:
+        row, measured, valid = given
+        q_b0b, q_n0n, force, fallen, moved, before = carry
+        velocity = jax.tree.map(lambda new, old: jnp.where(valid, new, old), measured, before)
         rate = w_ie + place.transport_rate(velocity) if nav else w_ie
-        force = force + q_b0b.rotate(row.dvel)
-        fallen = fallen + q_n0n.rotate(gravity_impulse(rate, place.gravity, row.dt))
-        q_b0b, q_n0n = (q_b0b * row.rotation).renormalised(), turn(q_n0n, rate, row.dt)
+        q_b0b, gained = advance_body(q_b0b, row.rotation, row.dvel)
+        q_n0n, fell = advance_nav(q_n0n, rate, place.gravity, row.dt)
+        force, fallen = force + gained, fallen + fell
         moved = moved + q_n0n.rotate(velocity) * row.dt
-        if aid == "body":
-            pair = fallen, q_b0b.rotate(row.velocity) - force
-        elif nav:
-            pair = q_n0n.rotate(row.velocity) + w_ie.cross(moved) - fallen, force
+        if nav:
+            pair = q_n0n.rotate(measured) + w_ie.cross(moved) - fallen, force
         else:
-            pair = -fallen, force
+            pair = fallen, q_b0b.rotate(measured) - force
         carry = (q_b0b, q_n0n, force, fallen, moved, velocity)
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), carry), Views(*pair, q_b0b, q_n0n, force, fallen)
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), carry), IntegratedVectors(
+            *pair, q_b0b, q_n0n, force, fallen
+        )
 
     zero, none = Vec3.zero(), Quat.identity()
     start = jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (none, none, zero, zero, zero, zero))
-    found = jax.lax.scan(step, start, rows)[1]
+    found = jax.lax.scan(step, start, (rows, seen.velocity, seen.valid))[1]
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (len(rows.dt), *shape)), found)
 
 
 def robust_start(
-    alpha: Vec3, beta: Vec3, used: Bool[Array, "K L"], sd: Any, aid: str
+    alpha: Vec3, beta: Vec3, used: Bool[Array, "K L"], sd: Any, axes: Axes
 ) -> tuple[InitialState, Float[Array, "K L"], Float[Array, " L"]]:
     """Attitude and first velocity that most of the pairs agree on.
 
@@ -116,7 +119,7 @@ def robust_start(
         beta: (K, L) in b0.
         used: which of them to use.
         sd: least noise to believe in, m/s.
-        aid: kind of aid.
+        axes: that the velocities were measured in.
 
     Returns:
         The start, the weights (0..1) and the standard deviation (m/s per axis) of what is left.
@@ -149,10 +152,10 @@ def robust_start(
     start = (weight, weight, Quat(zero + 1.0, zero, zero, zero), Vec3(zero, zero, zero), zero, zero)
     # One round more: it solves with the weights of the last one, and its own are not used.
     (_, weight, attitude, offset, _, scale), _ = jax.lax.scan(round_, start, jnp.arange(_ROUNDS + 1))
-    return InitialState(attitude, offset if aid == "nav" else -offset), weight, scale
+    return InitialState(attitude, offset if axes is Axes.NAV else -offset), weight, scale
 
 
-def misfit(alpha: Vec3, beta: Vec3, start: InitialState, aid: str) -> Vec3:
+def misfit(alpha: Vec3, beta: Vec3, start: InitialState, axes: Axes) -> Vec3:
     """(K,) what the pairs are off a start, m/s, n0."""
-    velocity = start.velocity if aid == "nav" else -start.velocity
+    velocity = start.velocity if axes is Axes.NAV else -start.velocity
     return alpha - start.attitude.rotate(beta) - velocity

@@ -27,11 +27,22 @@ from jaxtyping import Array, Float
 from jaxalign.batch.rows import over_rows
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
-from jaxalign.observe.frames import Place, gravity_impulse, turn
 from jaxalign.preintegration import Increment
+from jaxalign.propagation import Place, advance_nav
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["ACCEL", "GYRO", "STATES", "TILT", "UNKNOWN", "VELOCITY", "Intervals", "Trajectory", "by_tilt", "mechanized"]
+__all__ = [
+    "ACCEL",
+    "GYRO",
+    "STATES",
+    "TILT",
+    "UNKNOWN",
+    "VELOCITY",
+    "Intervals",
+    "NominalTrajectory",
+    "by_tilt",
+    "mechanize",
+]
 
 TILT, VELOCITY, GYRO, ACCEL = (slice(3 * i, 3 * i + 3) for i in range(4))
 STATES = 12
@@ -39,7 +50,7 @@ UNKNOWN = np.pi / np.sqrt(3.0)
 """rad: an angle of which nothing is known is uniform over a turn."""
 
 
-class Trajectory(eqx.Module):
+class NominalTrajectory(eqx.Module):
     """Components of shape (K, L).
 
     Attributes:
@@ -54,19 +65,19 @@ class Trajectory(eqx.Module):
     gyro: Vec3
     accel: Vec3
 
-    def moved(self, error: Float[Array, "K n L"]) -> Trajectory:
+    def moved(self, error: Float[Array, "K n L"]) -> NominalTrajectory:
         """With the errors of all epochs taken in."""
         tilt, velocity, gyro, accel = (
             Vec3(*(error[:, i] for i in range(s.start, s.stop))) for s in (TILT, VELOCITY, GYRO, ACCEL)
         )
         attitude = (by_tilt(tilt) * self.attitude).unit()
-        return Trajectory(attitude, self.velocity + velocity, self.gyro + gyro, self.accel + accel)
+        return NominalTrajectory(attitude, self.velocity + velocity, self.gyro + gyro, self.accel + accel)
 
-    def turned(self, angle: Any, velocity: bool) -> Trajectory:
+    def turned(self, angle: Any, velocity: bool) -> NominalTrajectory:
         """With the heading turned by an angle (rad), and the velocities with it if so wished."""
         about = Quat.exp(Vec3(0.0 * angle, 0.0 * angle, angle))
         v = about.rotate(self.velocity) if velocity else self.velocity
-        return Trajectory((about * self.attitude).unit(), v, self.gyro, self.accel)
+        return NominalTrajectory((about * self.attitude).unit(), v, self.gyro, self.accel)
 
 
 class Intervals(eqx.Module):
@@ -119,10 +130,10 @@ def _stack(*vectors: Vec3) -> Array:
 def _over_the_earth(site: Site, velocity: Vec3, dt: Any) -> tuple[Vec3, Any]:
     """Rate of n (rad/s, n) and gravity (m/s^2) in each interval, for its mean velocity in n."""
     start = Place.of(site)
-    meridian, _ = start.parallel.radii
+    meridian, _ = start.circle.radii
     moved = velocity.y * dt
     north = jnp.cumsum(moved, axis=0) - 0.5 * moved
-    place = Place(start.parallel.moved(north / (meridian + start.h)), start.h, start.anomaly)
+    place = Place(start.circle.moved(north / (meridian + start.h)), start.h, start.anomaly)
     return place.earth_rate + place.transport_rate(velocity), place.gravity
 
 
@@ -131,15 +142,14 @@ def _turned_and_fallen(rate: Vec3, gravity: Any, dt: Any, length: Any) -> tuple[
 
     def step(q_n0n: Quat, row: Any) -> tuple[Quat, tuple[Quat, Vec3]]:
         rate, gravity, dt = row
-        fallen = q_n0n.rotate(gravity_impulse(rate, gravity, dt))
-        q_n0n = turn(q_n0n, rate, dt)
+        q_n0n, fallen = advance_nav(q_n0n, rate, gravity, dt)
         return q_n0n, (q_n0n, fallen)
 
     one = jax.tree.map(lambda x: x * jnp.ones(dt.shape[1:]), Quat.identity())
     return over_rows(step, one, (rate, gravity, dt), length, lambda: (one, one.vector))[1]
 
 
-def mechanized(rows: Epoch, site: Site, at: Trajectory, q_n0n: Quat, on: Any, length: Any = None) -> Intervals:
+def mechanize(rows: Epoch, site: Site, at: NominalTrajectory, q_n0n: Quat, on: Any, length: Any = None) -> Intervals:
     """Mechanize every interval from the state before it.
 
     A tilt turns what the force gave by the velocities of the trajectory, not by the accelerometers: then turning the

@@ -42,14 +42,14 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--prefilter",
         metavar="NAME",
-        help="low-pass filter of the specific force of a standing vehicle: vondrak, fir or wavelet (default: none)",
+        help="low-pass filter of the specific force of a standing vehicle, see `jaxalign methods` (default: none)",
     )
     command.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="SLOT.FIELD=VALUE",
-        help="a parameter of the method or prefilter, e.g. observe.window=60, prefilter.cutoff=0.5; may be repeated",
+        help="a parameter of the method, e.g. observe.window=60, front_end.prefilter.cutoff=0.5; may be repeated",
     )
     command.add_argument(
         "--every",
@@ -60,9 +60,9 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--imu",
         metavar="GRADE",
-        help="of the inertial unit: navigation, tactical or mems, or a TOML file of its figures (gyro_bias_deg_h, "
-        "gyro_walk_deg_sqrt_h, accel_bias_ug, accel_noise_ug_sqrt_hz); auto, robust_map and fine use it, and any "
-        "other method states standard deviations (default of auto: by the data)",
+        help="of the inertial unit: navigation, tactical or mems, or a TOML file of its figures ([gyro] bias_deg_h, "
+        "walk_deg_sqrt_h and [accel] bias_ug, density_ug_sqrt_hz, each a number or three); auto, robust_map and fine "
+        "use it, and any other method states standard deviations (default of auto: by the data)",
     )
     command.add_argument(
         "--aligned",
@@ -85,8 +85,9 @@ def _run(options: argparse.Namespace) -> int:
     from jaxalign.cli.report import check_outputs, read_log
     from jaxalign.cli.summary import summary
     from jaxalign.epochs import check_every
+    from jaxalign.files import replacing
+    from jaxalign.front_end import aids_for
     from jaxalign.inertial_unit import imu_figures
-    from jaxalign.io.files import replacing
     from jaxalign.method_file import method_entries
     from jaxalign.solution import check_threshold
     from jaxalign.uncertainty import assess
@@ -102,14 +103,15 @@ def _run(options: argparse.Namespace) -> int:
         plots.require()
     check_outputs(options, [options.file, options.columns, options.method_file])
     log = read_log(options)
-    imu = None if options.imu is None else imu_figures(options.imu)
+    imu = None if options.imu is None else imu_figures(options.imu).at_rate(1.0 / log.dt)
     name, method, reasons = _method(options, log, imu)  # to choose one takes solutions of the log
-    if method.aid == "static" and log.velocity is not None:
-        speed = float(np.nanmedian(np.linalg.norm(log.velocity, axis=1)))
+    moving = None if log.velocity_aid is None else log.velocity_aid.velocity
+    if method.standing and moving is not None:
+        speed = float(np.nanmedian(np.linalg.norm(moving, axis=1)))
         if speed > 0.5:
             raise UserError(
                 f"{name} takes the vehicle as standing, but the aid of {log.name} says {speed:.1f} m/s: use a method "
-                f"that takes a {log.aid!r} aid (oba, centred_oba), or cut out a standing part with --start and --end"
+                "that takes its aid (oba, centred_oba), or cut out a standing part with --start and --end"
             )
     if options.aligned is not None and imu is None and not method.has_covariance:
         raise UserError(
@@ -129,17 +131,20 @@ def _run(options: argparse.Namespace) -> int:
         solution = jax.block_until_ready(found)
 
     # Files first: a reader of the printed lines that leaves early (head) must not cost the results.
-    of_log = log.aid_sd if log.aid == method.aid else None
-    stated = of_log if options.aid_sd is None else options.aid_sd
-    estimated = stated is None
+    observed = [seen for _, seen in aids_for(log, method.aids)]
+    of_log = [None if seen is None else seen.sd for seen in observed]
+    stated = {
+        aid.name: sd if options.aid_sd is None else options.aid_sd for aid, sd in zip(method.aids, of_log, strict=True)
+    }
+    first = stated[method.aids[0].name]
     written = []
     if options.output:
         recipe = {
             **method_entries(name, method),
             "every": every,
             "imu": options.imu,
-            "aid_sd": float(solution.aid_sd[-1] if stated is None else stated),
-            "aid_sd_from": "data" if estimated else "user" if options.aid_sd is not None else "log",
+            "aid_sd": np.asarray(solution.aid_sd[-1] if first is None else first).tolist(),
+            "aid_sd_from": "data" if first is None else "user" if options.aid_sd is not None else "log",
             "log": log.name,
             "jaxalign": jaxalign.__version__,
         }
@@ -163,8 +168,16 @@ def _every(options: argparse.Namespace, method: AbstractMethod, log: Log) -> int
     """Epochs between rows."""
     if options.every is not None or not method.rows_are_costly:
         return 1 if options.every is None else options.every
-    count = log.epochs * log.aid_every // (method.interval_samples or log.aid_every)
+    count = _rows(log, method)
     return max(-(-count // _ROWS), 1)
+
+
+def _rows(log: Log, method: AbstractMethod) -> int:
+    """About how many epochs there will be."""
+    from jaxalign.front_end import aids_for
+
+    fixes = max((len(seen.time) for _, seen in aids_for(log, method.aids) if seen is not None), default=0)
+    return max(fixes - 1, log.epochs * log.epoch_samples // (method.front_end.interval_samples or log.epoch_samples))
 
 
 def _method(
@@ -173,9 +186,9 @@ def _method(
     """Name, method, and why it was chosen if it was not named."""
     from jaxalign.auto import choose
     from jaxalign.cli.report import assignments
+    from jaxalign.front_end import aids_for
     from jaxalign.method_file import read_method
-    from jaxalign.methods import build_for
-    from jaxalign.parametrization import with_parameters
+    from jaxalign.methods import build_for, with_settings
 
     settings = assignments(options.set)
     if options.method_file is None:
@@ -185,17 +198,22 @@ def _method(
             return choice.name, choice.method, choice.reasons
         if name == "auto":
             raise UserError("--prefilter: auto takes none: name a method for a standing vehicle, --method gravity_q")
-        return name, _with_imu(build_for(log.aid, name, settings, options.prefilter), imu), ()
+        return (
+            name,
+            _with_imu(build_for(tuple(one.aid for one in log.aids), name, settings, options.prefilter), imu),
+            (),
+        )
     if options.method is not None or options.prefilter is not None:
         flag = "--method" if options.method is not None else "--prefilter"
         raise UserError(f"{flag} and --method-file: give one of them, the file says all of the method")
     name, method, _ = read_method(options.method_file)
-    if method.aid not in ("static", log.aid):
+    try:
+        aids_for(log, method.aids)
+    except UserError as error:
         raise UserError(
-            f"{options.method_file} holds {name} for a {method.aid!r} aid, but {log.name} has a {log.aid!r} aid: make "
-            "one for it (jaxalign tune), or name a method with --method"
-        )
-    return name, _with_imu(with_parameters(method, settings), imu), ()
+            f"{options.method_file} holds {name}: {error}: make one for it (jaxalign tune), or name one with --method"
+        ) from None
+    return name, _with_imu(with_settings(name, method, settings), imu), ()
 
 
 def _with_imu(method: AbstractMethod, imu: ImuErrors | None) -> AbstractMethod:

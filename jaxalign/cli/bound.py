@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
         help="an option of the scenario, e.g. duration=600; may be repeated",
     )
     command.add_argument(
-        "--every", type=float, metavar="SECONDS", help=f"between the lines printed (default: {_ROWS} lines)"
+        "--every", type=int, metavar="N", help=f"epochs between the lines printed (default: {_ROWS} lines)"
     )
     command.add_argument("--output", metavar="FILE.csv", help="all epochs")
     command.add_argument("--plot", metavar="FILE.png", help="a picture (needs matplotlib)")
@@ -43,9 +43,10 @@ def _run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from jaxalign.bounds import bound
-    from jaxalign.cli.report import assignments, check_outputs, chosen_scenario, table
-    from jaxalign.errors import UserError
-    from jaxalign.io.files import replacing
+    from jaxalign.cli.report import assignments, check_outputs, chosen_scenario
+    from jaxalign.epochs import check_every
+    from jaxalign.files import replacing
+    from jaxalign.tables import aligned
 
     check_outputs(options, [options.scenario])
     if options.plot:
@@ -53,16 +54,18 @@ def _run(options: argparse.Namespace) -> int:
 
         plots.require()
     made = chosen_scenario(options.scenario, assignments(options.set))
-    step = made.duration / _ROWS if options.every is None else options.every
-    if not step > 0:
-        raise UserError(f"--every {step:g}: must be above 0 s")
+    if options.every is not None:
+        check_every(options.every)
     found = bound(made)
     time, angles = np.asarray(found.time), np.asarray(found.euler_deg)
-    wanted = np.arange(1, max(1, int(made.duration / step + 1e-6)) + 1) * step
-    rows = np.unique([int(np.argmin(np.abs(time - t))) for t in wanted])
+    last = len(time) - 1
+    if options.every is None:
+        rows = np.unique(np.linspace(0, last, _ROWS + 1)[1:].round().astype(int))
+    else:
+        rows = np.unique([*range(options.every, last, options.every), last])
     print(f"{made.name}: least standard deviations (deg) of an unbiased estimator; 104 deg: an angle is unknown")
     lines = [(f"{time[i]:g}", *(f"{x:.4g}" for x in angles[i])) for i in rows]
-    print(table(("time (s)", "pitch", "roll", "yaw"), lines))
+    print(aligned(("time (s)", "pitch", "roll", "yaw"), lines))
     if options.output:
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")

@@ -64,7 +64,7 @@ def _watch(reader: int) -> None:
         pass
     if _patient or _asked:
         select.select([reader], [], [], _PATIENCE_S)
-    files = sys.modules.get("jaxalign.io.files")
+    files = sys.modules.get("jaxalign.files")
     if files is not None:
         files.discard_parts()
     os.write(2, b"jaxalign: interrupted\n")

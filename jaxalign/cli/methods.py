@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from typing import Any
 
 __all__ = ["add"]
@@ -25,11 +26,19 @@ def _settable(part: Any) -> str:
     return ", ".join(f"{path}={value}".lower() for path, value in parameters(part).items())
 
 
+def _parts(module: Any) -> Iterator[Any]:
+    """A module and its slots, each before its own."""
+    import equinox as eqx
+
+    yield module
+    for part in vars(module).values():
+        if isinstance(part, eqx.Module):
+            yield from _parts(part)
+
+
 def _run(options: argparse.Namespace) -> int:
     import inspect
     import re
-
-    import equinox as eqx
 
     from jaxalign.errors import UserError
     from jaxalign.methods import RECIPES, build
@@ -37,21 +46,22 @@ def _run(options: argparse.Namespace) -> int:
 
     if options.name:
         build(options.name)  # one message for an unknown name
-    width = max(map(len, RECIPES)) + 2
-    for recipe in RECIPES.values():
-        if options.name not in (None, recipe.name):
-            continue
+    shown = [recipe for recipe in RECIPES.values() if options.name in (None, recipe.name)]
+    width = max(len(recipe.name) for recipe in shown) + 2
+    for before, recipe in zip([None, *shown], shown, strict=False):
+        if before and recipe.published and not before.published:
+            print("\nas published, to reproduce what papers print:")
         print(f"{recipe.name:{width}s}{recipe.summary}")
-        print(f"{'':{width}s}aids: {', '.join(recipe.aids)}; source: {recipe.source}")
+        kinds = ", ".join(aid.kind for aid in recipe.aids) + " and any others, several at once" * recipe.several
+        print(f"{'':{width}s}aids: {kinds}; source: {recipe.source}")
         for aid in recipe.aids:
             method = build(recipe.name, aid)
-            print(f"{'':{width}s}{aid}: {_settable(method)}")
+            print(f"{'':{width}s}{aid.kind}: {_settable(method)}")
             if options.name:
-                slots = (part for part in vars(method).values() if isinstance(part, eqx.Module))
-                for part in (method, *slots):
+                for part in _parts(method):
                     print(f"\n[{type(part).__name__}]\n{inspect.getdoc(type(part))}\n")
     if not options.name:
-        print("\nprefilters (--prefilter NAME, --set prefilter.FIELD=VALUE), for a standing vehicle:")
+        print("\nprefilters (--prefilter NAME, --set front_end.prefilter.FIELD=VALUE), for a standing vehicle:")
         for name, kind in PREFILTERS.items():
             summary = re.sub(r" \(:func:.*?\)", "", (inspect.getdoc(kind) or "").splitlines()[0])
             try:

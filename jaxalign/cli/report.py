@@ -23,7 +23,6 @@ __all__ = [
     "chosen_scenario",
     "read_log",
     "split_settings",
-    "table",
 ]
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -36,6 +35,12 @@ def add_log_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("file", metavar="FILE", help="the log: .npz, PSINS .imu or .csv")
     command.add_argument("--format", choices=FORMATS, default="auto", help="of the log (default: auto)")
     command.add_argument("--columns", metavar="MAP", help="column map (TOML) of a CSV log: names, units, frame, site")
+    command.add_argument(
+        "--aid",
+        action="append",
+        metavar="NAME",
+        help="of the aids of the log take this one alone (may be repeated; `jaxalign info FILE` names them)",
+    )
     command.add_argument("--start", type=float, metavar="S", help="begin S seconds after the first epoch")
     command.add_argument("--end", type=float, metavar="S", help="end S seconds after the first epoch")
     command.add_argument(
@@ -51,7 +56,12 @@ def read_log(options: argparse.Namespace) -> Log:
     """Read the log that the arguments name, and cut it."""
     from jaxalign.io import read
 
-    log = read(options.file, format=options.format, columns=options.columns, aid_sd=options.aid_sd)
+    log = read(options.file, format=options.format, columns=options.columns)
+    if options.aid:
+        log = log.only(*options.aid)
+    if options.aid_sd is not None and len(log.aids) > 1:
+        names = ", ".join(one.name for one in log.aids)
+        raise UserError(f"--aid-sd: the log has {names}: name one with --aid, or state their noise in the file")
     if options.start is not None or options.end is not None:
         log = log.crop(options.start or 0.0, options.end)
     return log
@@ -76,7 +86,7 @@ def assignments(texts: Sequence[str]) -> dict[str, str]:
 
 
 def add_scenario_argument(command: argparse.ArgumentParser, **how: Any) -> None:
-    """SCENARIO."""
+    """The argument SCENARIO."""
     command.add_argument(
         "scenario",
         metavar="SCENARIO",
@@ -92,7 +102,9 @@ def split_settings(given: Mapping[str, str], scenario: str) -> tuple[dict[str, s
     from jaxalign.simulate import scenario_options, scenarios
 
     known = scenario_options(scenario) if scenario in scenarios() else {}
-    bare = {path for recipe in RECIPES.values() for path in parameters(recipe.make(recipe.aids[0])) if "." not in path}
+    bare = {
+        path for recipe in RECIPES.values() for path in parameters(recipe.make(recipe.aids[0]())) if "." not in path
+    }
     mine = {k: v for k, v in given.items() if "." in k or ":" in k or (k in bare and k not in known)}
     return {k: v for k, v in given.items() if k not in mine}, mine
 
@@ -140,9 +152,3 @@ def chosen_scenario(text: str, options: Mapping[str, str]) -> Scenario:
     if options:
         raise UserError(f"--set {next(iter(options))}: options of a scenario from a file stand in the file ({text})")
     return scenario_file(text)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Right-aligned columns."""
-    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-    return "\n".join("  ".join(f"{cell:>{w}s}" for cell, w in zip(row, widths, strict=True)) for row in (head, *rows))

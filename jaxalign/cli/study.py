@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from jaxalign.errors import UserError, close_names
 
 if TYPE_CHECKING:
+    from jaxalign.aids import AbstractAid
     from jaxalign.method_file import Named
 
 __all__ = ["add"]
@@ -51,11 +52,11 @@ def add(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="an option of the scenario (outliers=fixed), a parameter of all methods that have it (weight.gamma=3) or "
-        "of one (LABEL:weight.gamma=3); may be repeated",
+        help="an option of the scenario (outliers=fixed), a parameter of all methods that have it (weight.threshold=3) "
+        "or of one (LABEL:weight.threshold=3); may be repeated",
     )
     command.add_argument(
-        "--prefilter", metavar="NAME", help="in front of methods for a standing vehicle: vondrak, fir or wavelet"
+        "--prefilter", metavar="NAME", help="in front of methods for a standing vehicle, see `jaxalign methods`"
     )
     command.add_argument("--every", type=int, metavar="N", help="epochs between read-outs (default: 10)")
     command.add_argument(
@@ -77,7 +78,9 @@ def add(commands: Any) -> None:
     )
     command.add_argument("--chunk", type=int, metavar="C", help="runs between two writes to DIR (default: 8192)")
     command.add_argument(
-        "--out", metavar="DIR", help="folder for results.npz, .csv, .md and the finished chunks (default: print only)"
+        "--output",
+        metavar="DIR",
+        help="folder for results.npz, .csv, .md and the finished chunks (default: print only)",
     )
     command.add_argument("--resume", action="store_true", help="complete the study in DIR")
     command.add_argument("--plot", action="store_true", help="also DIR/results.png (needs matplotlib)")
@@ -106,11 +109,11 @@ def _devices(options: argparse.Namespace) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from jaxalign.cli.interrupt import patience
-    from jaxalign.cli.report import assignments, chosen_scenario, split_settings, table
+    from jaxalign.cli.report import assignments, chosen_scenario, split_settings
     from jaxalign.study import Interrupted, Study, devices, run
 
-    if options.out is None and (options.plot or options.resume):
-        raise UserError(f"--{'plot' if options.plot else 'resume'} needs a folder: --out DIR")
+    if options.output is None and (options.plot or options.resume):
+        raise UserError(f"--{'plot' if options.plot else 'resume'} needs a folder: --output DIR")
     if options.plot:
         from jaxalign import plots
 
@@ -118,11 +121,11 @@ def _run(options: argparse.Namespace) -> int:
     of_scenario, of_methods = split_settings(assignments(options.set), options.scenario)
     made = chosen_scenario(options.scenario, of_scenario)
     files = _of_files(options.method_file)
-    usual = "gravity_q,velocity_q" if made.aid == "static" else "oba,centred_oba"
+    usual = "gravity_q,velocity_q" if made.standing else "oba,centred_oba"
     chosen = options.methods or ",".join(dict.fromkeys(named.name for named in files.values())) or usual
     prefilters = {named.prefilter for named in files.values()} if options.methods is None else set()
     prefilter = options.prefilter or (prefilters.pop() if len(prefilters) == 1 else None)
-    methods = _methods(chosen, made.aid, prefilter, of_methods)
+    methods = _methods(chosen, tuple(one.aid for one in made.aids), prefilter, of_methods)
     for label, named in files.items():
         if label in methods:
             raise UserError(f"--method-file: {label} is the name of a method too: rename the file")
@@ -144,18 +147,20 @@ def _run(options: argparse.Namespace) -> int:
 
     try:
         with patience():
-            result = run(study, out=options.out, resume=options.resume, chunk=options.chunk, progress=True, warn=warn)
+            result = run(
+                study, out=options.output, resume=options.resume, chunk=options.chunk, progress=True, warn=warn
+            )
     except Interrupted as error:
         if error.result is not None and devices.is_first():
-            _print(error.result, table)
+            _print(error.result)
         print(f"jaxalign: {error}", file=sys.stderr)
         return 130
     if result is None:  # not the first process
         return 0
     from jaxalign.study.report import write
 
-    written = write(result, options.out, options.plot) if options.out is not None else []
-    _print(result, table)
+    written = write(result, options.output, options.plot) if options.output is not None else []
+    _print(result)
     for path in written:
         print(f"wrote {Path(path)}")
     return 0
@@ -174,19 +179,23 @@ def _of_files(paths: Sequence[str]) -> dict[str, Named]:
     return out
 
 
-def _print(result: Any, table: Any) -> None:
+def _print(result: Any) -> None:
     from jaxalign.study.report import rows
+    from jaxalign.tables import aligned
 
     print(f"{result.title} (± Monte Carlo standard error)")
-    print(table(*rows(result)))
+    print(aligned(*rows(result)))
 
 
-def _methods(text: str, aid: str, prefilter: str | None, settings: Mapping[str, str]) -> dict[str, Any]:
+def _methods(
+    text: str, aids: tuple[AbstractAid, ...], prefilter: str | None, settings: Mapping[str, str]
+) -> dict[str, Any]:
     """Label -> method, from ``name,label=name,...`` and settings ``path`` or ``label:path``."""
-    from jaxalign.methods import build_for
-    from jaxalign.parametrization import parameters, with_parameters
+    from jaxalign.methods import build_for, with_settings
+    from jaxalign.parametrization import parameters
 
     out: dict[str, Any] = {}
+    names: dict[str, str] = {}
     for part in text.split(","):
         label, equals, name = (x.strip() for x in part.partition("="))
         name = name if equals else label
@@ -194,7 +203,7 @@ def _methods(text: str, aid: str, prefilter: str | None, settings: Mapping[str, 
             raise UserError(f"--methods {text!r}: write it as name,name,... or label=name,...")
         if label in out:
             raise UserError(f"--methods: {label} is named twice; give variants labels: {label}2={name}")
-        out[label] = build_for(aid, name, None, prefilter)
+        out[label], names[label] = build_for(aids, name, None, prefilter), name
     for key, value in settings.items():
         label, colon, path = key.rpartition(":")
         if colon and label not in out:
@@ -202,5 +211,5 @@ def _methods(text: str, aid: str, prefilter: str | None, settings: Mapping[str, 
             raise UserError(f"--set {key}: no method {label!r} in --methods: did you mean {', '.join(near)}?")
         chosen = [label] if colon else [x for x, method in out.items() if path in parameters(method)]
         for one in chosen or list(out)[:1]:  # where none has it, the message of the first
-            out[one] = with_parameters(out[one], {path: value})
+            out[one] = with_settings(names[one], out[one], {path: value})
     return out

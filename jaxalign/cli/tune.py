@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxalign.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxalign.aids import AbstractAid
 
 __all__ = ["add"]
 
@@ -19,7 +22,7 @@ def add(commands: Any) -> None:
     command = commands.add_parser(
         "tune",
         help="fit numbers of a method by gradient descent over simulated runs",
-        description="Fit numbers of a method (Huber's gamma, noise of a filter, cut-off of a prefilter) by gradient "
+        description="Fit numbers of a method (Huber's threshold, noise of a filter, a prefilter's cut-off) by gradient "
         "descent through simulation, alignment and score. The best numbers over runs held out are kept, and written "
         "with --output for the --method-file of `jaxalign align` and `jaxalign study`.",
         epilog="Losses: rmse (default) and log-rmse of an angle over the window; quantile: what most runs stay below; "
@@ -34,17 +37,17 @@ def add(commands: Any) -> None:
         action="append",
         default=[],
         metavar="PATH",
-        help="a number to tune, e.g. weight.gamma; may be repeated, or several with commas",
+        help="a number to tune, e.g. weight.threshold; may be repeated, or several with commas",
     )
     command.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="an option of the scenario (outliers=fixed) or a number of the method to start from (weight.gamma=3); may "
-        "be repeated",
+        help="an option of the scenario (outliers=fixed) or a number of the method to start from (weight.threshold=3); "
+        "may be repeated",
     )
-    command.add_argument("--prefilter", metavar="NAME", help="in front of the method: vondrak, fir or wavelet")
+    command.add_argument("--prefilter", metavar="NAME", help="in front of the method, see `jaxalign methods`")
     command.add_argument("--loss", default="rmse", metavar="NAME", help="what is made small (default: %(default)s)")
     command.add_argument("--angle", metavar="A", help="of the loss: pitch, roll, yaw (default) or level")
     command.add_argument("--tolerance", type=float, metavar="DEG", help="of the loss convergence (default: 1)")
@@ -90,13 +93,14 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from jaxalign.cli.interrupt import patience
-    from jaxalign.cli.report import assignments, check_outputs, chosen_scenario, split_settings, table
-    from jaxalign.io.files import replacing
+    from jaxalign.cli.report import assignments, check_outputs, chosen_scenario, split_settings
+    from jaxalign.files import replacing
+    from jaxalign.tables import aligned
     from jaxalign.tune import Tune, run
 
     of_scenario, of_method = split_settings(assignments(options.set), options.scenario)
     made = chosen_scenario(options.scenario, of_scenario)
-    name, method = _method(options, made.aid, of_method)
+    name, method = _method(options, tuple(one.aid for one in made.aids), of_method)
     paths = [path.strip() for text in options.param for path in text.split(",") if path.strip()]
     tune = Tune(
         made,
@@ -140,7 +144,7 @@ def _run(options: argparse.Namespace) -> int:
             figure.savefig(stream, format=options.plot.rpartition(".")[2].lower())
         written.append(options.plot)
     print(f"{name} on {made.name}, {tune.runs} runs, {tuned.mode} mode, {tuned.seconds:.1f} s")
-    print(table(*tuned.rows()))
+    print(aligned(*tuned.rows()))
     print(tuned.summary)
     for path in written:
         print(f"wrote {path}")
@@ -149,10 +153,9 @@ def _run(options: argparse.Namespace) -> int:
     return 1 if "not finite" in tuned.stopped else 0
 
 
-def _method(options: argparse.Namespace, aid: str, settings: dict[str, str]) -> tuple[str, Any]:
+def _method(options: argparse.Namespace, aids: tuple[AbstractAid, ...], settings: dict[str, str]) -> tuple[str, Any]:
     from jaxalign.method_file import read_method
-    from jaxalign.methods import build_for
-    from jaxalign.parametrization import with_parameters
+    from jaxalign.methods import build_for, with_settings
 
     if (options.method is None) == (options.method_file is None):
         raise UserError("name a method to tune: --method NAME (see `jaxalign methods`), or --method-file FILE")
@@ -160,8 +163,8 @@ def _method(options: argparse.Namespace, aid: str, settings: dict[str, str]) -> 
         if options.prefilter is not None:
             raise UserError("--prefilter goes with --method: the method of a file has its own or none")
         name, method, _ = read_method(options.method_file)
-        return name, with_parameters(method, settings)
-    return options.method, build_for(aid, options.method, settings, options.prefilter)
+        return name, with_settings(name, method, settings)
+    return options.method, build_for(aids, options.method, settings, options.prefilter)
 
 
 def _loss(options: argparse.Namespace) -> Any:

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from jaxalign.errors import UserError
-from jaxalign.io.files import replacing
+from jaxalign.files import replacing
 
 __all__ = ["Entries", "prune"]
 

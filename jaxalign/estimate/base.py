@@ -54,7 +54,7 @@ class AbstractEstimate(eqx.Module):
         """State before the first epoch.
 
         Args:
-            coupled: whether pairs come with a ``moment`` (a Python bool: it sets the structure of the state).
+            coupled: whether pairs come with a ``displacement`` (a Python bool: it sets the structure of the state).
         """
 
     @abstractmethod

@@ -22,7 +22,9 @@ def check_noise(noise: str, observe: AbstractObserve) -> None:
         UserError: says what to choose.
     """
     if noise == "physical" and observe.steps:
-        raise UserError("estimate.noise = 'physical' is that of a velocity aid: for a standing vehicle take 'constant'")
+        raise UserError(
+            "estimate.measurement_noise = 'physical' is that of a velocity aid: for a standing vehicle take 'constant'"
+        )
 
 
 def direction_information(noise: Noise, variance: Any, context: Context, pair: Pair) -> Any:

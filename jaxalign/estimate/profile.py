@@ -26,32 +26,34 @@ class Profile(eqx.Module):
     """``sum w alpha beta^T``; beta in two parts where its Coriolis term awaits the attitude."""
 
     fixed: Mat3
-    moment: Mat3 | None
+    displacement: Mat3 | None
     w_ie: Vec3
 
     @classmethod
     def zero(cls, coupled: bool) -> Profile:
-        """Empty sums; with the second one where pairs come with a moment."""
+        """Empty sums; with the second one where pairs come with a displacement."""
         return cls(Mat3.zero(), Mat3.zero() if coupled else None, Vec3.zero())
 
     def scaled(self, factor: Any) -> Profile:
         """The sums times a number."""
-        return Profile(self.fixed * factor, None if self.moment is None else self.moment * factor, self.w_ie)
+        return Profile(
+            self.fixed * factor, None if self.displacement is None else self.displacement * factor, self.w_ie
+        )
 
     def plus(self, pair: Any, weight: Any) -> Profile:
-        """With one more pair: anything with alpha, open_beta, moment and w_ie."""
+        """With one more pair: anything with alpha, beta_without_coriolis, displacement and w_ie."""
         weighted = pair.alpha * weight
-        moment = None if self.moment is None else self.moment + weighted.outer(pair.moment)
-        return Profile(self.fixed + weighted.outer(pair.open_beta), moment, pair.w_ie)
+        displacement = None if self.displacement is None else self.displacement + weighted.outer(pair.displacement)
+        return Profile(self.fixed + weighted.outer(pair.beta_without_coriolis), displacement, pair.w_ie)
 
     def read(self, context: Context) -> Readout:
         """Solve; where beta depends on the attitude, feed it in and solve again."""
-        if self.moment is None:
+        if self.displacement is None:
             return _readout(self.fixed)
         attitude, known = context.attitude, context.defined
         for _ in range(1 if context.fresh else _PASSES):
             w_ie_b0 = where(known, attitude.conjugate().rotate(self.w_ie), Vec3.zero())
-            found = _readout(self.fixed + self.moment.map_rows(w_ie_b0.cross))
+            found = _readout(self.fixed + self.displacement.map_rows(w_ie_b0.cross))
             attitude, known = found.attitude, found.defined
         return found
 
@@ -62,7 +64,7 @@ class CentredSums(eqx.Module):
     profile: Profile
     alpha: Vec3
     beta: Vec3
-    moment: Vec3 | None
+    displacement: Vec3 | None
     weight: Float[Array, "*pairs"]
 
     @classmethod
@@ -72,18 +74,18 @@ class CentredSums(eqx.Module):
         return cls(Profile.zero(coupled), zero, zero, zero if coupled else None, zero.x)
 
     def plus(self, pair: Any, weight: Any) -> CentredSums:
-        """With one more pair: anything with alpha, open_beta, moment and w_ie."""
+        """With one more pair: anything with alpha, beta_without_coriolis, displacement and w_ie."""
         return CentredSums(
             self.profile.plus(pair, weight),
             self.alpha + pair.alpha * weight,
-            self.beta + pair.open_beta * weight,
-            None if self.moment is None else self.moment + pair.moment * weight,
+            self.beta + pair.beta_without_coriolis * weight,
+            None if self.displacement is None else self.displacement + pair.displacement * weight,
             self.weight + weight,
         )
 
     def plus_all(self, pairs: Any, weights: Any) -> CentredSums:
         """With many: the leaves of the pairs and the weights have a first axis, w_ie has none."""
-        each = CentredSums.zero(self.moment is not None).plus(pairs, weights)
+        each = CentredSums.zero(self.displacement is not None).plus(pairs, weights)
         total = jax.tree.map(lambda a, b: a + jnp.sum(b, axis=0) if jnp.ndim(b) else b, self, each)
         return eqx.tree_at(lambda sums: sums.profile.w_ie, total, pairs.w_ie)
 
@@ -97,13 +99,13 @@ class CentredSums(eqx.Module):
         """The profile of the pairs less their means."""
         mean, profile = self.mean(self.alpha), self.profile
         fixed = profile.fixed - mean.outer(self.beta)
-        if profile.moment is None or self.moment is None:
+        if profile.displacement is None or self.displacement is None:
             return Profile(fixed, None, profile.w_ie)
-        return Profile(fixed, profile.moment - mean.outer(self.moment), profile.w_ie)
+        return Profile(fixed, profile.displacement - mean.outer(self.displacement), profile.w_ie)
 
     def offset(self, attitude: Quat, w_ie_b0: Vec3) -> Vec3:
         """The mean of ``alpha - C beta``."""
-        beta = self.beta if self.moment is None else self.beta + w_ie_b0.cross(self.moment)
+        beta = self.beta if self.displacement is None else self.beta + w_ie_b0.cross(self.displacement)
         return self.mean(self.alpha) - attitude.rotate(self.mean(beta))
 
 

@@ -1,8 +1,8 @@
 """A Kalman filter whose state is the quaternion itself, measured by ``H(alpha, beta) q = 0``."""
 
-from __future__ import annotations
-
+# No annotations from the future: equinox looks for abstract attributes among them, and finds none in text.
 import dataclasses
+from abc import abstractmethod
 from typing import Any, Literal
 
 import equinox as eqx
@@ -11,17 +11,17 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.errors import UserError
 from jaxalign.estimate.base import AbstractEstimate, Readout
 from jaxalign.estimate.triad import triad
 from jaxalign.linear import solve_covariance
 from jaxalign.observe import Context, Pair
-from jaxalign.observe.options import check_choice
 from jaxalign.parametrization import as_float64, tunable
 from jaxalign.solution import Status
 from jaxalign.vector import Quat, Vec3, where
 
-__all__ = ["QuaternionFilter"]
+__all__ = ["AbstractQuaternionFilter", "QuaternionFilter"]
 
 
 class _State(eqx.Module):
@@ -38,22 +38,18 @@ class _State(eqx.Module):
     elapsed: Float[Array, ""]  # s, since the last measurement
 
 
-class QuaternionFilter(AbstractEstimate):
+class AbstractQuaternionFilter(AbstractEstimate):
     """Four states, each pair of unit vectors a pseudo-measurement: ``0 = (L(alpha) - R(beta)) q``, q = q_n0b0.
 
     The noise of the vectors stands in H, where it counts as information and shrinks the covariance before the heading
     has shown itself: taken vector by vector at 50 Hz the filter is slow, on a real log (start 30 deg off) useless.
     Averaging the vectors over about a second first cures most of it; the q-method needs no cure. A pair's weight counts
-    in the average, the mean weight divides R.
+    in the average, the mean weight divides R. A subclass says what R is.
 
     Attributes:
         averaging: pairs are averaged over this time before they are a measurement, s; 0: each pair is one.
-        noise: of a measurement. "cumulative" (default): ``rho I`` with 4 rho the mean squared residual so far, from
-            ``variance`` on; "fixed": ``variance I``; "full": the mean of the residuals' 4x4 products, as published,
-            which makes the heading depend on the north gyro's bias: its good figures in the paper are an accident of
-            equal biases, do not use it.
-        variance: R at the start, or always. "fixed" wants half the variance of a vector's direction.
-        prior: variance of the elements of q at the start.
+        variance: R at the start, or always.
+        prior_variance: variance of the elements of q at the start.
         start: q_n0b0 at the start, (4,); all zeros (default): TRIAD on the first two measurements. A jolt within those
             (10 mg for a second) costs a degree of heading for minutes, a start 30 deg off as much: the filter forgets
             its start slowly.
@@ -62,14 +58,12 @@ class QuaternionFilter(AbstractEstimate):
     averaging, start, Joseph form; subtracting H P H^T from the residuals (Sage-Husa) is unstable and not offered.
     """
 
-    averaging: float = eqx.field(static=True, default=1.0)
-    noise: Literal["cumulative", "fixed", "full"] = eqx.field(static=True, default="cumulative")
-    variance: Float[Array, ""] = tunable(1e-4, unit="1", bounds=(1e-14, 10.0))
-    prior: Float[Array, ""] = tunable(1.0, unit="1", bounds=(1e-12, 1e6))
-    start: Float[Array, " 4"] = eqx.field(converter=as_float64, default=(0.0, 0.0, 0.0, 0.0))
+    averaging: eqx.AbstractVar[float]
+    variance: eqx.AbstractVar[Float[Array, ""]]
+    prior_variance: eqx.AbstractVar[Float[Array, ""]]
+    start: eqx.AbstractVar[Float[Array, " 4"]]
 
     def __check_init__(self):
-        check_choice("estimate.noise", self.noise, ("cumulative", "fixed", "full"))
         if not 0 <= self.averaging < float("inf"):
             raise UserError(f"estimate.averaging = {self.averaging}: must be a number of seconds, 0 for no averaging")
         if self.start.shape != (4,):
@@ -77,14 +71,33 @@ class QuaternionFilter(AbstractEstimate):
         if not isinstance(self.start, Tracer) and not np.isfinite(self.start).all():
             raise UserError(f"estimate.start = {np.asarray(self.start)}: must be finite, all zeros for none")
 
+    @abstractmethod
+    def first_noise(self) -> Any:
+        """The mean of the squared residuals before the first measurement: a number or (4, 4)."""
+
+    @abstractmethod
+    def next_noise(self, noise: Any, residual: Any, share: Any, weight: Any) -> tuple[Any, Any]:
+        """The mean with one more residual, and R.
+
+        Args:
+            noise: the mean so far.
+            residual: (4,) of this measurement, before it is used.
+            share: of it in the mean.
+            weight: of its pairs.
+
+        Returns:
+            The mean, and R (4, 4) of a pair with a weight of one.
+        """
+
     def init(self, coupled: bool) -> Any:
         """Before the first measurement."""
         zero, no, v = jnp.zeros((), jnp.float64), jnp.zeros((), bool), Vec3.zero()
         eye = jnp.eye(4)
         given = jnp.sum(self.start**2) > 0
         q = Quat.of(self.start).unit().array
-        noise = self.variance * (eye if self.noise == "full" else 1.0)
-        return _State(q, self.prior * eye, noise, zero, given, no, (v, v), (v, v), zero, zero, zero)
+        return _State(
+            q, self.prior_variance * eye, self.first_noise(), zero, given, no, (v, v), (v, v), zero, zero, zero
+        )
 
     def update(self, state: Any, context: Context, pair: Pair, weight: Any) -> Any:
         """Average, and measure when the time has come."""
@@ -120,14 +133,7 @@ class QuaternionFilter(AbstractEstimate):
         h, eye = _matrix(alpha, beta), jnp.eye(4)
         e = h @ s.q
         share = 1.0 / (s.count + 2.0)
-        if self.noise == "full":
-            noise = (1.0 - share) * s.noise + share * weight * jnp.outer(e, e)
-            r = noise + 1e-10 * eye
-        elif self.noise == "cumulative":
-            noise = (1.0 - share) * s.noise + share * weight * jnp.sum(e * e) / 4
-            r = (noise + 1e-12) * eye
-        else:
-            noise, r = s.noise, self.variance * eye
+        noise, r = self.next_noise(s.noise, e, share, weight)
         r = r / weight
         ph = s.p @ h.T
         transposed, regular = solve_covariance(h @ ph + r, ph.T)
@@ -140,10 +146,46 @@ class QuaternionFilter(AbstractEstimate):
         return dataclasses.replace(s, q=q, p=p, noise=noise, singular=s.singular | ~regular)
 
     def readout(self, state: Any, context: Context) -> Readout:
-        """The state."""
+        """The quaternion of the state."""
         defined = state.started & (state.count > 0)
         bit = jnp.where(state.singular, jnp.int32(int(Status.SINGULAR)), 0)
         return Readout(Quat.of(state.q), defined, jnp.zeros((), jnp.float64), bit)
+
+
+class QuaternionFilter(AbstractQuaternionFilter):
+    """The quaternion Kalman filter with one number for R.
+
+    Attributes:
+        averaging: pairs are averaged over this time before they are a measurement, s; 0: each pair is one.
+        measurement_noise: "cumulative" (default): ``rho I`` with 4 rho the mean squared residual so far, from
+            ``variance`` on; "fixed": ``variance I``. The full matrix, as published, is
+            :class:`jaxalign.published.FullNoiseQuaternionFilter`.
+        variance: R at the start, or always. "fixed" wants half the variance of a vector's direction.
+        prior_variance: variance of the elements of q at the start.
+        start: q_n0b0 at the start, (4,), see the base class.
+
+    Source: as of the base class.
+    """
+
+    averaging: float = eqx.field(static=True, default=1.0)
+    measurement_noise: Literal["cumulative", "fixed"] = eqx.field(static=True, default="cumulative")
+    variance: Float[Array, ""] = tunable(1e-4, unit="1", bounds=(1e-14, 10.0))
+    prior_variance: Float[Array, ""] = tunable(1.0, unit="1", bounds=(1e-12, 1e6))
+    start: Float[Array, " 4"] = eqx.field(converter=as_float64, default=(0.0, 0.0, 0.0, 0.0))
+
+    def __check_init__(self):
+        check_choice("estimate.measurement_noise", self.measurement_noise, ("cumulative", "fixed"))
+
+    def first_noise(self) -> Any:
+        """The variance as given."""
+        return self.variance
+
+    def next_noise(self, noise: Any, residual: Any, share: Any, weight: Any) -> tuple[Any, Any]:
+        """The mean square of the elements, or what is fixed."""
+        if self.measurement_noise == "fixed":
+            return noise, self.variance * jnp.eye(4)
+        noise = (1.0 - share) * noise + share * weight * jnp.sum(residual * residual) / 4
+        return noise, (noise + 1e-12) * jnp.eye(4)
 
 
 def _matrix(a: Vec3, b: Vec3) -> Float[Array, "4 4"]:

@@ -8,11 +8,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.estimate.base import AbstractEstimate, Readout
 from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direction_information
 from jaxalign.estimate.profile import Profile, inverse_lengths
 from jaxalign.observe import AbstractObserve, Context, Pair
-from jaxalign.observe.options import check_choice
 from jaxalign.parametrization import tunable
 from jaxalign.vector import where
 
@@ -38,7 +38,7 @@ class Request(AbstractEstimate):
     rho: Float[Array, ""] = tunable(0.05, unit="1", bounds=(1e-6, 1.0))
 
     def init(self, coupled: bool) -> Any:
-        """Empty."""
+        """No pair yet."""
         return _Request(Profile.zero(coupled), jnp.zeros((), bool))
 
     def update(self, state: Any, context: Context, pair: Pair, weight: Any) -> Any:
@@ -67,35 +67,35 @@ class OptimalRequest(AbstractEstimate):
     weight divides its R.
 
     Attributes:
-        variance: of a direction per axis with ``noise="constant"``, rad^2 (tr R = 12 variance).
-        process: variance that K gains per vector, in the units of R: above zero the filter forgets.
-        noise: "physical" (default) or "constant".
+        variance: of a direction per axis with ``measurement_noise="constant"``, rad^2 (tr R = 12 variance).
+        process_variance: variance that K gains per vector, in the units of R: above zero the filter forgets.
+        measurement_noise: "physical" (default) or "constant".
 
     Source: Choukroun 2004; Huang's baseline, which gives neither R nor P0: P0 = R of the first pair here.
     """
 
     variance: Float[Array, ""] = tunable(0.01, unit="rad^2", bounds=(1e-12, 10.0))
-    process: Float[Array, ""] = tunable(0.0, unit="rad^2", bounds=(0.0, 10.0))
-    noise: Noise = eqx.field(static=True, default="physical")
+    process_variance: Float[Array, ""] = tunable(0.0, unit="rad^2", bounds=(0.0, 10.0))
+    measurement_noise: Noise = eqx.field(static=True, default="physical")
 
     def __check_init__(self):
-        check_choice("estimate.noise", self.noise, NOISES)
+        check_choice("estimate.measurement_noise", self.measurement_noise, NOISES)
 
     def check(self, observe: AbstractObserve) -> None:
         """The physical noise is that of two velocities."""
-        check_noise(self.noise, observe)
+        check_noise(self.measurement_noise, observe)
 
     def init(self, coupled: bool) -> Any:
-        """Empty."""
+        """No pair yet."""
         return _OptimalRequest(Profile.zero(coupled), jnp.zeros((), jnp.float64), jnp.zeros((), bool))
 
     def update(self, state: Any, context: Context, pair: Pair, weight: Any) -> Any:
         """Move K towards one pair."""
         # tr R = 4 tr(Cov): 12 s^2 for an isotropic s^2, 8 s^2 where it is across the direction only.
-        factor = 12.0 if self.noise == "constant" else 8.0
-        information = weight * direction_information(self.noise, self.variance, context, pair) / factor
+        factor = 12.0 if self.measurement_noise == "constant" else 8.0
+        information = weight * direction_information(self.measurement_noise, self.variance, context, pair) / factor
         some = information > 0
-        p = state.variance + jnp.where(state.started & some, self.process, 0.0)
+        p = state.variance + jnp.where(state.started & some, self.process_variance, 0.0)
         following = p * information / (1.0 + p * information)
         gain = jnp.where(state.started, following, jnp.where(some, 1.0, 0.0))
         first = jnp.where(some, 1.0 / jnp.where(some, information, 1.0), 0.0)

@@ -33,21 +33,25 @@ class Held(eqx.Module):
 
     Attributes:
         alpha: m/s, n0.
-        open_beta: m/s, b0.
-        moment: m, or None: see :class:`jaxalign.observe.Pair`.
+        beta_without_coriolis: m/s, b0.
+        displacement: m, or None: see :class:`jaxalign.observe.Pair`.
         w_ie: rad/s, n0, without that axis.
         used: which of them are pairs.
     """
 
     alpha: Vec3
-    open_beta: Vec3
-    moment: Vec3 | None
+    beta_without_coriolis: Vec3
+    displacement: Vec3 | None
     w_ie: Vec3
     used: Bool[Array, " n"]
 
     def misfit(self, attitude: Quat, w_ie_b0: Vec3) -> Vec3:
         """``alpha - C beta``."""
-        beta = self.open_beta if self.moment is None else self.open_beta + w_ie_b0.cross(self.moment)
+        beta = (
+            self.beta_without_coriolis
+            if self.displacement is None
+            else self.beta_without_coriolis + w_ie_b0.cross(self.displacement)
+        )
         return self.alpha - attitude.rotate(beta)
 
 
@@ -165,8 +169,8 @@ class RevisingWahba(AbstractEstimate):
 
         held = Held(
             put(held.alpha, pair.alpha),
-            put(held.open_beta, pair.open_beta),
-            put(held.moment, pair.moment),
+            put(held.beta_without_coriolis, pair.beta_without_coriolis),
+            put(held.displacement, pair.displacement),
             pair.w_ie,
             held.used.at[slot].set(used),
         )

@@ -8,12 +8,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.estimate.base import AbstractEstimate, Readout
 from jaxalign.estimate.direction_noise import NOISES, Noise, check_noise, direction_information
 from jaxalign.estimate.eigenproblem import dominant_eigenvector
 from jaxalign.linear import solve_covariance
 from jaxalign.observe import AbstractObserve, Context, Pair
-from jaxalign.observe.options import check_choice
 from jaxalign.parametrization import tunable
 from jaxalign.solution import Status
 from jaxalign.vector import Vec3, where
@@ -31,33 +31,33 @@ class _State(eqx.Module):
 class KMatrixFilter(AbstractEstimate):
     """The nine free elements of a traceless K, measured by dK of each pair, in a Kalman filter with a 9x9 gain.
 
-    ``R = s^2 (Lambda Lambda^T + kappa I)`` with s^2 the variance of the direction. As printed kappa is zero: R then
-    has rank 3, P + R is singular after the first update, and the filter stops: ``Status.SINGULAR`` from there on, and
+    ``R = s^2 (Lambda Lambda^T + kappa I)`` with s^2 the variance of the direction. Without kappa
+    R has rank 3, P + R is singular after the first update, and the filter stops: ``Status.SINGULAR`` from there on, and
     no attitude (one direction does not make any). The model itself (K constant) is inconsistent: each dK depends on
     its direction, and only a gain that is nearly a scalar keeps the true attitude an eigenvector. Without noise the
     heading errs by 8 deg at kappa = 0.01, 0.06 deg at 1. Nor do the nine elements turn as a whole: another mounting of
     the same unit gives another heading, by several degrees in Huang's scenario. A pair's weight divides its R.
 
     Attributes:
-        kappa: the regularisation, ours.
-        variance: s^2 with ``noise="constant"``, rad^2.
-        prior: variance of the elements of K before the second pair (the first one starts it).
-        noise: of the directions, "physical" (2 sd^2 / |alpha|^2; default) or "constant".
+        kappa: the regularisation, ours; zero as printed (the recipe ``vo_tvk_as_published``).
+        variance: s^2 with ``measurement_noise="constant"``, rad^2.
+        prior_variance: variance of the elements of K before the second pair (the first one starts it).
+        measurement_noise: of the directions, "physical" (2 sd^2 / |alpha|^2; default) or "constant".
 
     Source: Huang (34)-(64); x0 is the first dK (56); P0 and R are not given there.
     """
 
     kappa: Float[Array, ""] = tunable(1.0, unit="1", bounds=(0.0, 1e4))
     variance: Float[Array, ""] = tunable(0.01, unit="rad^2", bounds=(1e-12, 10.0))
-    prior: Float[Array, ""] = tunable(1.0, unit="1", bounds=(1e-12, 1e6))
-    noise: Noise = eqx.field(static=True, default="physical")
+    prior_variance: Float[Array, ""] = tunable(1.0, unit="1", bounds=(1e-12, 1e6))
+    measurement_noise: Noise = eqx.field(static=True, default="physical")
 
     def __check_init__(self):
-        check_choice("estimate.noise", self.noise, NOISES)
+        check_choice("estimate.measurement_noise", self.measurement_noise, NOISES)
 
     def check(self, observe: AbstractObserve) -> None:
         """The physical noise is that of two velocities."""
-        check_noise(self.noise, observe)
+        check_noise(self.measurement_noise, observe)
 
     def init(self, coupled: bool) -> Any:
         """Nothing measured."""
@@ -69,7 +69,7 @@ class KMatrixFilter(AbstractEstimate):
         s = state
         lambda_ = _sensitivity(pair.alpha.unit())
         y = lambda_ @ pair.beta.unit().array
-        information = weight * direction_information(self.noise, self.variance, context, pair)
+        information = weight * direction_information(self.measurement_noise, self.variance, context, pair)
         some = information > 0
         variance = 1.0 / jnp.where(some, information, 1.0)
         r = variance * (lambda_ @ lambda_.T + self.kappa * jnp.eye(9))
@@ -77,7 +77,7 @@ class KMatrixFilter(AbstractEstimate):
         gain = transposed.T
         rest = jnp.eye(9) - gain
         moved = _State(s.x + gain @ (y - s.x), rest @ s.p @ rest.T + gain @ r @ gain.T, s.started, s.singular)
-        first = _State(y, self.prior * jnp.eye(9), jnp.ones((), bool), s.singular)
+        first = _State(y, self.prior_variance * jnp.eye(9), jnp.ones((), bool), s.singular)
         usable = some & s.started & ~s.singular
         new = where(usable & regular, moved, where(some & ~s.started, first, s))
         return _State(new.x, new.p, new.started, s.singular | (usable & ~regular))

@@ -8,21 +8,26 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.earth import Site, earth_rate, normal_gravity, radii
 from jaxalign.epochs import Epoch
 from jaxalign.fine.error_model import ACCEL, GYRO, POSITION, PSI, STATES, VELOCITY, transition
+from jaxalign.inertial_unit import PER_SAMPLE, AccelErrors, GyroErrors, ImuErrors
 from jaxalign.linear import solve_positive
 from jaxalign.mechanization import NavState, advance, displacement
-from jaxalign.observe.options import check_choice
 from jaxalign.parametrization import tunable
 from jaxalign.preintegration import Increment
-from jaxalign.units import DEG_H, DEG_SQRT_H, UG
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
 __all__ = ["ErrorFilter", "FilterRow", "FilterState"]
 
 
 _UP = PSI.stop - 1
+
+
+def _tactical() -> ImuErrors:
+    """Table 3 of the Vondrak paper."""
+    return ImuErrors(GyroErrors(0.1, 0.05 / 60), AccelErrors(50.0, 50.0))
 
 
 def _turned(heading: Any, q_nb: Quat) -> Quat:
@@ -79,6 +84,7 @@ class FilterRow(eqx.Module):
         innovation: of the velocity (m/s, n), and of the position (m) where it is used; zero where there was no update.
         innovation_covariance: of these.
         updated: whether there was an update.
+        nav: the mechanisation, for its velocity and place.
     """
 
     q_nb: Quat
@@ -88,6 +94,7 @@ class FilterRow(eqx.Module):
     innovation: Float[Array, " m"]
     innovation_covariance: Float[Array, "m m"]
     updated: Bool[Array, ""]
+    nav: NavState
 
 
 class ErrorFilter(eqx.Module):
@@ -104,12 +111,7 @@ class ErrorFilter(eqx.Module):
         initial_velocity_sd: m/s.
         initial_tilt_sd_deg: of east and north, deg.
         initial_heading_sd_deg: deg.
-        accel_bias_ug: standard deviation of the constant bias, ug.
-        gyro_bias_deg_h: likewise, deg/h.
-        accel_noise_ug_sqrt_hz: white noise of the force, ug/sqrt(Hz).
-        gyro_walk_deg_sqrt_h: angle random walk, deg/sqrt(h).
-        accel_bias_walk_ug_sqrt_h: random walk of the bias, ug/sqrt(h).
-        gyro_bias_walk_deg_h_sqrt_h: random walk of the bias, deg/h/sqrt(h).
+        imu: errors of the inertial unit: standard deviations and random walk of its biases, and its white noise.
         updates: "velocity": zero velocity, the position held; "position": zero displacement from the start as well.
         form: "published": the measured force in f x psi, all errors fed back. On a shaken base both are wrong: that
             force holds the shaking which the innovations are made of, so the filter takes it for information that the
@@ -129,16 +131,12 @@ class ErrorFilter(eqx.Module):
     initial_velocity_sd: Float[Array, ""] = tunable(0.01, unit="m/s", bounds=(0.0, 10.0))
     initial_tilt_sd_deg: Float[Array, ""] = tunable(0.1, unit="deg", bounds=(0.0, 10.0))
     initial_heading_sd_deg: Float[Array, ""] = tunable(3.0, unit="deg", bounds=(0.0, 30.0))
-    accel_bias_ug: Float[Array, ""] = tunable(50.0, unit="ug", bounds=(0.0, 1e5))
-    gyro_bias_deg_h: Float[Array, ""] = tunable(0.1, unit="deg/h", bounds=(0.0, 1e4))
-    accel_noise_ug_sqrt_hz: Float[Array, ""] = tunable(50.0, unit="ug/sqrt(Hz)", bounds=(0.0, 1e5))
-    gyro_walk_deg_sqrt_h: Float[Array, ""] = tunable(0.05 / 60, unit="deg/sqrt(h)", bounds=(0.0, 100.0))
-    accel_bias_walk_ug_sqrt_h: Float[Array, ""] = tunable(0.0, unit="ug/sqrt(h)", bounds=(0.0, 1e5))
-    gyro_bias_walk_deg_h_sqrt_h: Float[Array, ""] = tunable(0.0, unit="deg/h/sqrt(h)", bounds=(0.0, 1e4))
+    imu: ImuErrors = eqx.field(default_factory=_tactical, metadata={"hides": PER_SAMPLE})
     updates: Literal["velocity", "position"] = eqx.field(static=True, default="velocity")
     form: Literal["standing", "published"] = eqx.field(static=True, default="standing")
 
     def __check_init__(self):
+        self.imu.check_densities()
         check_choice("form", self.form, ("standing", "published"))
         check_choice("updates", self.updates, ("velocity", "position"))
 
@@ -147,17 +145,23 @@ class ErrorFilter(eqx.Module):
         """P0, SI."""
         tilt, heading = jnp.deg2rad(self.initial_tilt_sd_deg), jnp.deg2rad(self.initial_heading_sd_deg)
         sd = [self.initial_position_sd] * 3 + [self.initial_velocity_sd] * 3 + [tilt, tilt, heading]
-        return jnp.diag(jnp.stack([*sd, *[self.accel_bias_ug * UG] * 3, *[self.gyro_bias_deg_h * DEG_H] * 3]) ** 2)
+        biases = [jnp.broadcast_to(triad.bias, (3,)) for triad in (self.imu.accel, self.imu.gyro)]
+        return jnp.diag(jnp.concatenate([jnp.stack(sd), *biases]) ** 2)
 
-    @property
-    def noise_density(self) -> Float[Array, " 15"]:
-        """Diagonal of Q per second, SI."""
-        zero = jnp.zeros(())
-        hour = 60.0  # sqrt(s / h)
-        sd = [zero] * 3 + [self.accel_noise_ug_sqrt_hz * UG] * 3 + [self.gyro_walk_deg_sqrt_h * DEG_SQRT_H] * 3
-        sd += [self.accel_bias_walk_ug_sqrt_h * UG / hour] * 3
-        sd += [self.gyro_bias_walk_deg_h_sqrt_h * DEG_H / hour] * 3
-        return jnp.stack(sd) ** 2
+    def process_noise(self, c_nb: Float[Array, "3 3"]) -> Float[Array, "15 15"]:
+        """Q per second, SI.
+
+        Args:
+            c_nb: attitude: white noise that differs from axis to axis acts in n turned by it.
+        """
+        white, triads = [], (self.imu.accel, self.imu.gyro)
+        for triad in triads:
+            square = jnp.broadcast_to(triad.density, (3,)) ** 2
+            white.append(jnp.diag(square) if triad.density.ndim == 0 else (c_nb * square) @ c_nb.T)
+        walks = [0.0 if triad.bias_walk is None else triad.bias_walk for triad in triads]
+        wander = jnp.concatenate([jnp.broadcast_to(walk, (3,)) ** 2 for walk in walks])
+        q = jnp.zeros((STATES, STATES)).at[VELOCITY, VELOCITY].set(white[0]).at[PSI, PSI].set(white[1])
+        return q.at[ACCEL.start :, ACCEL.start :].set(jnp.diag(wander))
 
     def init(self, site: Site, q_nb: Quat, heading_sd: Any = 0.0) -> FilterState:
         """State at epoch 0.
@@ -187,7 +191,7 @@ class ErrorFilter(eqx.Module):
             turn = earth_rate(state.nav.lat) * (-dt)  # the mean over the interval, in an n that turns with the Earth
             force = mean_rotated(turn, state.nav.q_nb.rotate(moved.dvel)) * (1.0 / jnp.where(started, dt, 1.0))
         phi = transition(state.nav, force, dt)
-        covariance = phi @ state.covariance @ phi.T + jnp.diag(self.noise_density * dt)
+        covariance = phi @ state.covariance @ phi.T + self.process_noise(state.nav.q_nb.matrix.array) * dt
         nav = advance(state.nav, moved, dt, state.site.anomaly, held)
 
         known = phi[:, _UP] * state.heading
@@ -208,7 +212,7 @@ class ErrorFilter(eqx.Module):
         covariance = 0.5 * (covariance + covariance.T)
         state = self._corrected(state, nav, error, covariance, held)
         gyro_bias, covariance = _unturned(state)
-        row = FilterRow(state.q_nb, gyro_bias, state.accel_bias, covariance, innovation, s, updated)
+        row = FilterRow(state.q_nb, gyro_bias, state.accel_bias, covariance, innovation, s, updated, state.nav)
         return state, row
 
     def _corrected(self, state: FilterState, nav: NavState, error: Any, covariance: Any, held: bool) -> FilterState:

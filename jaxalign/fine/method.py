@@ -14,18 +14,17 @@ from jaxtyping import Array, Float
 from jaxalign.epochs import Epochs, strided_rows
 from jaxalign.errors import UserError
 from jaxalign.fine.error_filter import ErrorFilter, FilterRow
-from jaxalign.fine.error_model import PSI
+from jaxalign.fine.error_model import ACCEL, GYRO, POSITION, PSI, VELOCITY
+from jaxalign.front_end import FrontEnd
 from jaxalign.inertial import InertialRecord
 from jaxalign.inertial_unit import ImuErrors
 from jaxalign.method import AbstractMethod
-from jaxalign.observe.options import check_interval, optional_count
+from jaxalign.nav_estimate import blocks_of
 from jaxalign.parametrization import tunable
-from jaxalign.prefilter import AbstractPrefilter
-from jaxalign.prefilter.base import optional_prefilter
-from jaxalign.record_method import AbstractRecordMethod, Found
 from jaxalign.solution import FilterRecord
 from jaxalign.two_vector import DualVector
 from jaxalign.vector import Quat
+from jaxalign.whole_record import AbstractWholeRecordMethod, RecordReadout
 
 __all__ = ["Fine"]
 
@@ -33,7 +32,24 @@ __all__ = ["Fine"]
 _WORST = 1.0  # rad
 
 
-class Fine(AbstractRecordMethod):
+_ORDER = np.r_[PSI, VELOCITY, GYRO, ACCEL, POSITION]
+_SIGN = np.repeat([1.0, 1.0, -1.0, -1.0, 1.0], 3)  # errors of the biases are truth less estimate
+_BLOCKS = blocks_of(attitude=3, velocity=3, gyro_bias=3, accel_bias=3, position=3)
+
+
+def _handed(row: FilterRow) -> dict[str, Any]:
+    """State and covariance as :class:`jaxalign.NavEstimate` has them."""
+    covariance = row.covariance[:, _ORDER[:, None], _ORDER] * (_SIGN[:, None] * _SIGN)
+    nav = row.nav
+    return {
+        "velocity": nav.velocity.array,
+        "position": jnp.stack([nav.lat, nav.lon, nav.h], axis=-1),
+        "unknowns": jnp.zeros((len(covariance), 0)),
+        "covariance": covariance,
+    }
+
+
+class Fine(AbstractWholeRecordMethod):
     """Coarse attitude from the whole record, then the error-state filter over the record from its start.
 
     The coarse attitude is where the filter linearises, and no information: to the initial heading variance is added
@@ -46,36 +62,32 @@ class Fine(AbstractRecordMethod):
         coarse: any method for a standing vehicle.
         filter: the error-state filter.
         heading_margin: times what the directions allow is added to the initial heading standard deviation; 0: nothing.
-        interval_samples: IMU samples per epoch (between updates); None: as the log has it.
-        prefilter: of the specific force, in front of both.
+        front_end: makes epochs of a log, for both; each ends with an update.
 
     Source: the Vondrak paper, Fig. 1 and Fig. 6. Deviation: coarse by Hann-windowed vectors over the whole record, not
     TRIAD over its beginning.
     """
 
     has_covariance: ClassVar[bool] = True
-    coarse: AbstractMethod = eqx.field(default_factory=DualVector, metadata={"hides": ("interval_samples",)})
+    coarse: AbstractMethod = eqx.field(default_factory=DualVector, metadata={"hides": ("front_end",)})
     filter: ErrorFilter = eqx.field(default_factory=ErrorFilter)
     heading_margin: Float[Array, ""] = tunable(3.0, unit="1", bounds=(0.0, 10.0))
-    interval_samples: int | None = optional_count()
-    prefilter: AbstractPrefilter | None = optional_prefilter()
+    front_end: FrontEnd = eqx.field(default_factory=FrontEnd, kw_only=True)
 
     def __check_init__(self):
-        check_interval(self.interval_samples, "interval_samples")
-        if not isinstance(self.coarse, AbstractMethod) or self.coarse.aid != "static":
+        if not isinstance(self.coarse, AbstractMethod) or not self.coarse.standing:
             raise UserError("coarse: must be a method for a standing vehicle, such as build('dual_vector')")
-        if self.coarse.interval_samples is not None or self.coarse.prefilter is not None:
-            raise UserError("coarse: it takes the epochs of the fine alignment: set interval and prefilter there")
+        if self.coarse.front_end != FrontEnd():
+            raise UserError("coarse: it takes the epochs of the fine alignment: set the front end there")
 
     def with_imu(self, imu: ImuErrors) -> Self:
-        """With these figures of the inertial unit in its filter.
+        """With these errors of the inertial unit in its filter.
 
         The standard deviation of the initial heading stays. A gyroscope bias turns the coarse heading by the bias over
         the horizontal Earth rate (5 deg for 1 deg/h at 35 deg of latitude), which the filter does not know of: for
         biases of 1 deg/h or more set ``filter.initial_heading_sd_deg`` too, or take ``robust_map``.
         """
-        figures = {field.name: getattr(imu, field.name) for field in dataclasses.fields(imu)}
-        return dataclasses.replace(self, filter=dataclasses.replace(self.filter, **figures))
+        return dataclasses.replace(self, filter=dataclasses.replace(self.filter, imu=imu))
 
     def refine(self, epochs: Epochs, start: Quat, heading_sd: Any = 0.0, every: int = 1) -> FilterRow:
         """The filter over epochs from a known attitude at epoch 0. Pure.
@@ -109,7 +121,7 @@ class Fine(AbstractRecordMethod):
             parts.append(jax.tree.map(lambda x: x[None], found))
         return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
 
-    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
+    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> RecordReadout:
         """Coarse attitude, taken back to epoch 0, and the filter from there."""
         last = len(epochs) - 1
         coarse = self.coarse.solve(epochs, last)
@@ -134,4 +146,7 @@ class Fine(AbstractRecordMethod):
             row.updated.astype(jnp.float64),
         )
         defined = known & (jnp.asarray(rows) > 0)
-        return Found(row.q_nb, defined, alpha, beta, alpha - q_n0b0.rotate(beta), row.covariance[:, PSI, PSI], told)
+        residual = alpha - q_n0b0.rotate(beta)
+        return RecordReadout(
+            row.q_nb, defined, alpha, beta, residual, row.covariance[:, PSI, PSI], told, _handed(row), _BLOCKS
+        )

@@ -17,16 +17,20 @@
     lon_deg = 118.79               # or lon (rad); default 0
     h = 20.0                       # m; default 0
 
-    [aid]                          # left out: the vehicle stands
+    [aid]                          # left out: the vehicle stands; several aids: each a table [[aid]]
     file = "dvl.csv"               # beside the map (or the IMU file, for a dict); left out: the IMU file
     time = "t"                     # default: as for the IMU; likewise time_unit
     time_offset = 0.0              # s to be added to the aid's time
-    velocity = ["vx", "vy", "vz"]
-    unit = "m/s"                   # default; cm/s, mm/s, km/h, kn
-    frame = "body"                 # or "nav"
+    velocity = ["vx", "vy", "vz"]  # or values = ["heading"]
+    unit = "m/s"                   # default; cm/s, mm/s, km/h, kn; of angles: rad (default), deg
+    frame = "body"                 # or "nav"; or instead kind = "body", "nav", "heading", "non-holonomic" (no values)
+    name = "odometer"              # default: its kind
+    components = ["forward"]       # where not all are there: right, forward, up, or east, north, up; so any other
+                                   # option of the kind. Where they are named, columns go by these names (NED/FRD: the
+                                   # one of "up" counts downwards), else by the order of `axes`
     axes = "ENU/RFU"               # only where they differ from `frame` at the top
-    interval = 1.0                 # s between epochs (default: from the aid's stamps)
-    sd = 0.01                      # standard deviation of its white noise per axis, m/s
+    interval = 1.0                 # s between epochs; default: of the aid that measures most often, from its stamps
+    sd = 0.01                      # of its white noise, m/s (an angle: in its unit); one, or of each column
 
 Without a map, a TOML file beside the log with its name (run.csv: run.toml) is taken, or else the columns
 time, gyro_x, gyro_y, gyro_z (rad/s), accel_x, accel_y, accel_z (m/s^2), lat_deg and perhaps lon_deg, h, and
@@ -35,6 +39,7 @@ for the aid vel_x, vel_y, vel_z (body) or vel_e, vel_n, vel_u (nav), m/s; right-
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -44,11 +49,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxalign.errors import UserError, close_names
-from jaxalign.io.files import existing_file, first_line, read_text
+from jaxalign.aids import AbstractAid, BodyVelocity, from_plain, kind_of
+from jaxalign.arguments import check_choice, nearest
+from jaxalign.errors import UserError
+from jaxalign.files import existing_file, first_line, read_text
+from jaxalign.io.streams import turned
 from jaxalign.wgs84 import STANDARD_GRAVITY
 
-__all__ = ["AidColumns", "ColumnMap", "column_map", "default_map", "nearest"]
+__all__ = ["AidColumns", "ColumnMap", "column_map", "default_map"]
 
 _DEG = np.pi / 180.0
 _G = STANDARD_GRAVITY
@@ -58,7 +66,9 @@ _GYRO = {
     "increment": {"rad": 1.0, "deg": _DEG, "arcsec": _DEG / 3600.0},
 }
 _ACCEL = {"rate": {"m/s^2": 1.0, "g": _G, "mg": 1e-3 * _G}, "increment": {"m/s": 1.0, "g*s": _G}}
+_ANGLE = {"rad": 1.0, "deg": _DEG}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6, "kn": 1852.0 / 3600.0}
+_OF_AIDS = {"m/s": _SPEED, "rad": _ANGLE}  # others are in the unit of the aid
 _FRAMES = ("ENU/RFU", "NED/FRD")
 _KEYS = {
     "": ("frame", "imu", "site", "aid"),
@@ -70,8 +80,10 @@ _KEYS = {
         "time_unit",
         "time_offset",
         "velocity",
+        "values",
         "unit",
         "frame",
+        "kind",
         "axes",
         "interval",
         "sd",
@@ -81,18 +93,38 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class AidColumns:
-    """Where the velocity aid is. Units are factors to SI; `turn` says that axes are NED/FRD."""
+    """Where an aid is. Units are factors to SI; `turn` says that axes are NED/FRD; `values` are columns, if any.
+
+    `sd` is in the order of the columns, which is that of the components where they are `named` in the map.
+    """
 
     file: Path | None
     time: str
     time_unit: float
     time_offset: float
-    velocity: tuple[str, str, str]
+    values: tuple[str, ...]
     unit: float
-    frame: str
+    aid: AbstractAid
     turn: bool
     interval: float | None
-    sd: float | None
+    sd: float | list[float] | None
+    named: bool = False
+
+    @property
+    def deviations(self) -> float | np.ndarray | None:
+        """Of its noise, one number or of each component of the aid."""
+        if not isinstance(self.sd, list):
+            return self.sd
+        return np.abs(self.in_order(np.array([self.sd])))[0]
+
+    def in_order(self, columns: np.ndarray) -> np.ndarray:
+        """Values as in the file, (n, m), along the axes of the aid."""
+        if not self.turn or self.aid.velocity_axes is None:
+            return columns
+        if self.aid.full_velocity and len(self.aid.components) == 3 and not self.named:
+            return turned(columns)
+        # Named by what they are, but counted downwards.
+        return columns * np.array([-1.0 if name == "up" else 1.0 for name in self.aid.components])
 
 
 @dataclass(frozen=True)
@@ -111,13 +143,7 @@ class ColumnMap:
     lat: tuple[float | str, float]
     lon: tuple[float | str, float]
     h: tuple[float | str, float]
-    aid: AidColumns | None
-
-
-def nearest(name: str, among: Sequence[str]) -> str:
-    """' (did you mean ...?)' for the name that is most alike, or nothing."""
-    found = close_names(name, among, most=1)
-    return f" (did you mean {found[0]!r}?)" if found else ""
+    aids: tuple[AidColumns, ...]
 
 
 def column_map(columns: str | os.PathLike[str] | Mapping[str, Any], beside: Path) -> ColumnMap:
@@ -173,11 +199,13 @@ class _Section:
         if not isinstance(table, Mapping):
             raise UserError(f"{self.where} must be a table of keys")
         self.table = table
-        for key in table:
-            if key not in _KEYS[name]:
-                raise UserError(
-                    f"{self.where} unknown key {key!r}{nearest(str(key), _KEYS[name])}; known: {', '.join(_KEYS[name])}"
-                )
+        if name != "aid":  # that knows its keys by its kind
+            self.check_keys(_KEYS[name])
+
+    def check_keys(self, known: Sequence[str]) -> None:
+        for key in self.table:
+            if key not in known:
+                raise UserError(f"{self.where} unknown key {key!r}: {nearest(str(key), known)}")
 
     def text(self, key: str, default: str | None = None) -> str:
         value = self.table.get(key, default)
@@ -188,10 +216,10 @@ class _Section:
         return value
 
     def choice(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
-        value = self.text(key, default).replace("²", "^2").replace("s2", "s^2")
+        value = self.text(key, default)
         if value not in choices:
-            raise UserError(f"{self.where} {key} is {value!r}{nearest(value, choices)}; known: {', '.join(choices)}")
-        return value
+            value = value.replace("²", "^2").replace("s2", "s^2")
+        return check_choice(f"{self.where} {key}", value, choices)
 
     def unit(self, key: str, units: Mapping[str, float], default: str | None = None) -> float:
         return units[self.choice(key, list(units), default or next(iter(units)))]
@@ -201,6 +229,42 @@ class _Section:
         if not isinstance(value, Sequence) or len(value) != 3 or not all(isinstance(name, str) for name in value):
             raise UserError(f"{self.where} {key} is {value!r}: three column names are expected")
         return value[0], value[1], value[2]
+
+    def names(self, key: str, count: int) -> tuple[str, ...]:
+        value = self.table.get(key)
+        value = [value] if isinstance(value, str) else value
+        if not isinstance(value, Sequence) or len(value) != count or not all(isinstance(name, str) for name in value):
+            what = (
+                "three column names are"
+                if count == 3
+                else "one column name is"
+                if count == 1
+                else f"{count} column names are"
+            )
+            raise UserError(f"{self.where} {key} is {value!r}: {what} expected")
+        return tuple(value)
+
+    def needed(self, *keys: str) -> None:
+        """One of these."""
+        if not any(key in self.table for key in keys):
+            raise UserError(f"{self.where} {keys[0]} is missing{''.join(f' (or {key})' for key in keys[1:])}")
+
+    def made(self, name: str) -> AbstractAid:
+        """The aid of a kind, with those of its fields that are here."""
+        try:
+            kind = kind_of(name)
+            own = _fields(kind)
+            if kind.implied:
+                raise UserError(f"{name!r} is an assumption that has no values: leave the table out")
+            if twice := [key for key in own if key in _KEYS["aid"]]:
+                raise UserError(
+                    f"the field {twice[0]!r} of {name!r} is a key of the map: its class must call it otherwise"
+                )
+            aid = from_plain({"kind": name, **{key: self.table[key] for key in own if key in self.table}})
+        except UserError as error:
+            raise UserError(f"{self.where} {error}") from None
+        self.check_keys((*_KEYS["aid"], *own))
+        return aid
 
     def number(self, key: str, default: float | None = None, positive: bool = False) -> float | None:
         value = self.table.get(key, default)
@@ -248,21 +312,61 @@ def _parse(source: str, table: Mapping[str, Any], folder: Path) -> ColumnMap:
         lat=site.place("lat", True, None),
         lon=site.place("lon", True, 0.0),
         h=site.place("h", False, 0.0),
-        aid=_parse_aid(_Section(source, "aid", table["aid"]), imu, frame, folder) if "aid" in table else None,
+        aids=tuple(
+            _parse_aid(_Section(source, "aid", one), imu, frame, folder) for one in _tables(table.get("aid", []))
+        ),
     )
+
+
+def _tables(given: Any) -> list[Any]:
+    """One table, or a list of them."""
+    return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def _parse_aid(aid: _Section, imu: _Section, frame: str, folder: Path) -> AidColumns:
-    unit = imu.choice("time_unit", list(_TIME), "s")
+    table = aid.table
+    if "frame" in table and "kind" in table:
+        raise UserError(f"{aid.where} has both frame and kind: give one")
+    if "velocity" in table and "values" in table:
+        raise UserError(f"{aid.where} has both velocity and values: give one")
+    if "kind" not in table and "frame" not in table:
+        aid.check_keys((*_KEYS["aid"], *_fields(BodyVelocity)))
+        aid.needed("frame", "kind")
+    kind = aid.text("kind") if "kind" in table else aid.choice("frame", ("body", "nav"))
+    made = aid.made(kind)
+    if "velocity" in table or "values" in table:
+        values = aid.names("velocity" if "velocity" in table else "values", len(made.components))
+    else:
+        if not made.zeros or {"file", "time", "time_unit", "time_offset", "unit"} & set(table):
+            aid.needed("values", "velocity")
+        values = ()
+    unit = aid.unit("unit", _OF_AIDS.get(made.unit, {made.unit: 1.0}))
+    sd = _deviations(aid, len(made.components))
+    own = unit if made.unit == "rad" else 1.0  # deviations of velocities have always been in m/s
     return AidColumns(
-        file=folder / aid.text("file") if "file" in aid.table else None,
+        file=folder / aid.text("file") if "file" in table else None,
         time=aid.text("time", imu.text("time")),
-        time_unit=aid.unit("time_unit", _TIME, unit),
+        time_unit=aid.unit("time_unit", _TIME, imu.choice("time_unit", list(_TIME), "s")),
         time_offset=aid.number("time_offset", 0.0) or 0.0,
-        velocity=aid.three("velocity"),
-        unit=aid.unit("unit", _SPEED),
-        frame=aid.choice("frame", ("body", "nav")),
+        values=values,
+        unit=unit,
+        aid=made,
         turn=aid.choice("axes", _FRAMES, frame) == "NED/FRD",
         interval=aid.number("interval", positive=True),
-        sd=aid.number("sd", positive=True),
+        sd=None if sd is None else [x * own for x in sd] if isinstance(sd, list) else sd * own,
+        named="components" in table,
     )
+
+
+def _fields(kind: type[AbstractAid]) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
+
+
+def _deviations(aid: _Section, size: int) -> float | list[float] | None:
+    """One number, or one for each component."""
+    given = aid.table.get("sd")
+    if not isinstance(given, list):
+        return aid.number("sd", positive=True)
+    if len(given) != size or not all(isinstance(x, int | float) and x is not True and 0 < x < np.inf for x in given):
+        raise UserError(f"{aid.where} sd is {given!r}: one positive number, or {size} of them, are expected")
+    return [float(x) for x in given]

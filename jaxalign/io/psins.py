@@ -17,7 +17,7 @@ import os
 import numpy as np
 
 from jaxalign.errors import UserError
-from jaxalign.io.files import existing_file, read_text
+from jaxalign.files import existing_file, read_text
 from jaxalign.log import Log
 
 __all__ = ["read_psins"]
@@ -68,9 +68,7 @@ def read_psins(path: str | os.PathLike[str], epoch: float = 1.0) -> Log:
         dtheta=counts[:, :3] * gyro,
         dvel=counts[:, 3:] * accelerometer,
         dt=dt,
-        aid_every=max(1, round(epoch / dt)),
-        aid="static",
-        velocity=None,
+        epoch_samples=max(1, round(epoch / dt)),
         lat=np.radians(lat_deg),
         lon=np.radians(lon_deg),
         h=h,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jaxalign.errors import UserError
-from jaxalign.io.files import existing_file
+from jaxalign.files import existing_file
 from jaxalign.io.formats import FORMATS, format_of
 from jaxalign.log import Log
 
@@ -54,4 +54,10 @@ def read(
         from jaxalign.io.csv import read_csv
 
         log = read_csv(path, columns)
-    return log if aid_sd is None else dataclasses.replace(log, aid_sd=aid_sd)
+    if aid_sd is None:
+        return log
+    if len(log.aids) != 1:
+        names = " and ".join(one.name for one in log.aids) or "no aids: give it to align, for the noise of the force"
+        raise UserError(f"{path}: aid_sd is one number, but there are {names}")
+    (one,) = log.aids
+    return log.with_aid(dataclasses.replace(one, sd=aid_sd))

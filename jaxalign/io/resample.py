@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["cumulate_increments", "cumulate_rates", "interpolate_aid", "nominal_interval", "onto_grid"]
+__all__ = ["cumulate_increments", "cumulate_rates", "nominal_interval", "onto_grid"]
 
 
 def nominal_interval(t: np.ndarray) -> float:
@@ -73,28 +73,3 @@ def onto_grid(t: np.ndarray, s: np.ndarray, grid: np.ndarray) -> np.ndarray:
     rest = s - s[0] - (t - t[0])[:, None] * slope
     columns = [np.diff(np.interp(grid, t, rest[:, k])) for k in range(s.shape[1])]
     return np.column_stack(columns) + np.diff(grid)[:, None] * slope
-
-
-def interpolate_aid(t: np.ndarray, v: np.ndarray, grid: np.ndarray, interval: float) -> np.ndarray:
-    """Aid velocity at the epochs: linear between neighbours at most 1.5 intervals apart, else NaN.
-
-    A sample within a millionth of an interval of an epoch is that epoch's.
-
-    Args:
-        t: (A,) stamps of the aid, s, increasing.
-        v: (A, 3) velocities; rows with NaN have been dropped.
-        grid: (M+1,) epochs, s.
-        interval: nominal interval of the aid, s.
-
-    Returns:
-        (M+1, 3).
-    """
-    after = np.searchsorted(t, grid - 1e-6 * interval)
-    right = np.minimum(after, len(t) - 1)
-    left = np.maximum(after - 1, 0)
-    exact = np.abs(t[right] - grid) <= 1e-6 * interval
-    span = t[right] - t[left]
-    inside = (after > 0) & (after < len(t)) & (span <= 1.5 * interval)
-    share = np.where(inside, (grid - t[left]) / np.where(span > 0, span, 1.0), 0.0)[:, None]
-    between = v[left] + share * (v[right] - v[left])
-    return np.where(exact[:, None], v[right], np.where(inside[:, None], between, np.nan))

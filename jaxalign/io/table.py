@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxalign.arguments import nearest
 from jaxalign.errors import UserError
-from jaxalign.io.columns import nearest
-from jaxalign.io.files import existing_file, first_line, read_text
+from jaxalign.files import existing_file, first_line, read_text
 
 __all__ = ["Table"]
 
@@ -92,9 +92,7 @@ class Table:
     def _find(self, name: str) -> int:
         count = self.header.count(name)
         if count == 0:
-            raise UserError(
-                f"{self.path}: no column {name!r}{nearest(name, self.header)}; the file has {', '.join(self.header)}"
-            )
+            raise UserError(f"{self.path}: no column {name!r}: {nearest(name, self.header)}")
         if count > 1:
             raise UserError(f"{self.path}: the column {name!r} is there {count} times: rename them")
         return self.header.index(name)

@@ -8,16 +8,27 @@ from jaxalign.lazy import lazily
 
 if TYPE_CHECKING:
     from jaxalign.observe.base import AbstractObserve, Context, Pair
-    from jaxalign.observe.body import BodyVelocity
-    from jaxalign.observe.nav import NavVelocity
-    from jaxalign.observe.static import Static
+    from jaxalign.observe.body_velocity import BodyVelocityVectors
+    from jaxalign.observe.choice import OBSERVERS, observer
+    from jaxalign.observe.gravity import GravityVectors
+    from jaxalign.observe.nav_velocity import NavVelocityVectors
 
-__all__ = ["AbstractObserve", "BodyVelocity", "Context", "NavVelocity", "Pair", "Static"]
+__all__ = [
+    "OBSERVERS",
+    "AbstractObserve",
+    "BodyVelocityVectors",
+    "Context",
+    "GravityVectors",
+    "NavVelocityVectors",
+    "Pair",
+    "observer",
+]
 
 _HOMES = {
     "base": "AbstractObserve Context Pair",
-    "body": "BodyVelocity",
-    "nav": "NavVelocity",
-    "static": "Static",
+    "body_velocity": "BodyVelocityVectors",
+    "choice": "OBSERVERS observer",
+    "nav_velocity": "NavVelocityVectors",
+    "gravity": "GravityVectors",
 }
 __getattr__, __dir__ = lazily(__name__, _HOMES)

@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxalign.aids import AbstractAid
 from jaxalign.earth import Site
 from jaxalign.epochs import Epoch
 from jaxalign.vector import Quat, Vec3
@@ -45,20 +46,20 @@ class Pair(eqx.Module):
         alpha: in n0.
         beta: in b0, complete: with the Coriolis term of the last attitude read out.
         valid: whether to use it; where False the vectors are finite but stale.
-        clean: of the two, the one without the aid's noise, whose spread says when the heading becomes observable:
+        noise_free: of the two, the one without the aid's noise, whose spread says when the heading becomes observable:
             integrated from the start whatever the window, or the step of the interval (``AbstractObserve.steps``).
-        open_beta: beta without the term that depends on the attitude sought.
-        moment: P with ``beta = open_beta + (C_b0n0 w_ie) x P``, m; None where beta does not depend on the
-            attitude. Estimators use it to correct the whole past at once.
+        beta_without_coriolis: beta without the term that depends on the attitude sought.
+        displacement: P with ``beta = beta_without_coriolis + (C_b0n0 w_ie) x P``, m; None where beta does not depend
+            on the attitude. Estimators use it to correct the whole past at once.
         w_ie: Earth rate in n0, rad/s.
     """
 
     alpha: Vec3
     beta: Vec3
     valid: Bool[Array, ""]
-    clean: Vec3
-    open_beta: Vec3
-    moment: Vec3 | None
+    noise_free: Vec3
+    beta_without_coriolis: Vec3
+    displacement: Vec3 | None
     w_ie: Vec3
 
     def residual(self, attitude: Quat) -> Vec3:
@@ -69,10 +70,11 @@ class Pair(eqx.Module):
 class AbstractObserve(eqx.Module):
     """Slot: epochs to vector pairs. The state must carry ``q_b0b`` and ``q_n0n`` (b and n since the start)."""
 
-    aid: ClassVar[str]
     steps: ClassVar[bool] = False
-    """Whether ``Pair.clean`` is the step of the interval, and the aid's noise that of a step (a standing vehicle)."""
-    interval_samples: eqx.AbstractVar[int | None]
+    """Whether ``Pair.noise_free`` is the step of the interval, the aid's noise that of a step (a standing vehicle)."""
+    interval: eqx.AbstractVar[float | None]
+    window: eqx.AbstractVar[float]
+    aid: eqx.AbstractVar[AbstractAid]
 
     def whitened(self, residual: np.ndarray, time: np.ndarray, sd: float, interval: float) -> np.ndarray:
         """Residuals in standard deviations of their noise, see :meth:`jaxalign.method.AbstractMethod.whitened`.
@@ -83,16 +85,15 @@ class AbstractObserve(eqx.Module):
 
     @property
     def coupled(self) -> bool:
-        """Whether the pairs carry a ``moment``: beta depends on the attitude sought."""
+        """Whether the pairs carry a ``displacement``: beta depends on the attitude sought."""
         return False
 
     @abstractmethod
-    def init(self, site: Site, interval: float) -> Any:
+    def init(self, site: Site) -> Any:
         """State before the first epoch.
 
         Args:
             site: where the vehicle is switched on.
-            interval: nominal seconds between epochs (a Python float: it sets the size of window buffers).
         """
 
     @abstractmethod

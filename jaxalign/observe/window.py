@@ -20,12 +20,12 @@ class Sums(eqx.Module):
 
     alpha: Vec3
     beta: Vec3
-    moment: Vec3 | None
+    displacement: Vec3 | None
 
     @classmethod
-    def zero(cls, moment: bool) -> Sums:
-        """All zero; without ``moment`` where no term depends on the attitude."""
-        return cls(Vec3.zero(), Vec3.zero(), Vec3.zero() if moment else None)
+    def zero(cls, displacement: bool) -> Sums:
+        """All zero; without ``displacement`` where no term depends on the attitude."""
+        return cls(Vec3.zero(), Vec3.zero(), Vec3.zero() if displacement else None)
 
     def __sub__(self, other: Sums) -> Sums:
         return jax.tree.map(lambda a, b: a - b, self, other)
@@ -56,7 +56,7 @@ class Previous(eqx.Module):
         return self.whole.started
 
     def push(self, index: Int[Array, ""], sums: Sums, valid: Any) -> tuple[Previous, Sums, Any, Sums]:
-        """As :meth:`Whole.push`; the first valid epoch gives no vector."""
+        """Take the sums of an epoch, see :meth:`Whole.push`; the first valid epoch gives no vector."""
         usable = valid & self.whole.started
         whole, _, _, since = self.whole.push(index, sums, valid)
         return Previous(whole, where(valid, sums, self.last)), sums - self.last, usable, since
@@ -79,7 +79,7 @@ class Sliding(eqx.Module):
         return self.whole.started
 
     def push(self, index: Int[Array, ""], sums: Sums, valid: Any) -> tuple[Sliding, Sums, Any, Sums]:
-        """As :meth:`Whole.push`."""
+        """Take the sums of an epoch, see :meth:`Whole.push`."""
         length = self.known.shape[-1]
         slot = index % length
         whole, _, _, since = self.whole.push(index, sums, valid)
@@ -93,20 +93,25 @@ class Sliding(eqx.Module):
 _MOST = 1_000_000  # epochs of a window: beyond, a slip of the pen rather than a wish
 
 
-def window(seconds: float, interval: float, sums: Sums) -> Whole | Sliding:
+def window(seconds: float, interval: float | None, sums: Sums) -> Whole | Sliding:
     """The state for a window of so many seconds, 0 meaning since the start.
 
     Args:
         seconds: length; rounded to whole epochs, at least one.
-        interval: seconds between epochs.
+        interval: seconds between epochs; None: not known.
         sums: all-zero sums of the right structure.
 
     Raises:
-        UserError: an absurd length.
+        UserError: an absurd length, or an interval that is not known.
     """
     whole = Whole(sums, jnp.zeros((), bool))
     if seconds == 0:
         return whole
+    if interval is None:
+        raise UserError(
+            f"observe.window = {seconds:g} s: a window is a number of epochs, and their interval is not known: inside "
+            "traced code, or for steps of one's own, take method.at_interval(seconds)"
+        )
     length = max(1, round(seconds / interval))
     if length > _MOST:
         raise UserError(f"observe.window = {seconds:g} s is {length} epochs: at most {_MOST}, or 0 for the whole time")

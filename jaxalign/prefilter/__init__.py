@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from jaxalign.prefilter.fir import Fir
     from jaxalign.prefilter.force import filtered_force
     from jaxalign.prefilter.named import PREFILTERS
-    from jaxalign.prefilter.objectives import changes_db, misfit, printed, reconstructed
+    from jaxalign.prefilter.objectives import misfit
     from jaxalign.prefilter.spectrum import multitaper
     from jaxalign.prefilter.vondrak_filter import Vondrak, cutoff_from_theta, gain, theta_from_cutoff, vondrak
     from jaxalign.prefilter.wavelet import Wavelet
@@ -24,15 +24,12 @@ __all__ = [
     "Fir",
     "Vondrak",
     "Wavelet",
-    "changes_db",
     "cutoff_from_theta",
     "factor",
     "filtered_force",
     "gain",
     "misfit",
     "multitaper",
-    "printed",
-    "reconstructed",
     "smooth",
     "solve",
     "theta_from_cutoff",
@@ -45,7 +42,7 @@ _HOMES = {
     "fir": "Fir",
     "force": "filtered_force",
     "named": "PREFILTERS",
-    "objectives": "changes_db misfit printed reconstructed",
+    "objectives": "misfit",
     "spectrum": "multitaper",
     "vondrak_filter": "Vondrak cutoff_from_theta gain theta_from_cutoff vondrak",
     "wavelet": "Wavelet",

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from abc import abstractmethod
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
-__all__ = ["AbstractPrefilter", "Frame", "optional_prefilter", "without_prefilter"]
+__all__ = ["AbstractPrefilter", "Frame"]
 
 Frame = Literal["inertial", "body"]
-
-
-class _Filtered(Protocol):
-    @property
-    def prefilter(self) -> AbstractPrefilter | None: ...
-
-
-T = TypeVar("T", bound=_Filtered)
+"""In which the specific force is filtered: turned by the gyroscopes, or axis by axis as measured."""
 
 
 class AbstractPrefilter(eqx.Module):
@@ -43,15 +35,3 @@ class AbstractPrefilter(eqx.Module):
     @abstractmethod
     def response(self, frequency: Any, dt: float) -> Any:
         """Gain at frequencies (Hz), away from the ends of the record; the phase is zero."""
-
-
-def optional_prefilter() -> Any:
-    """A field of a method that holds a filter or None."""
-    return eqx.field(default=None, kw_only=True, metadata={"slot": True})
-
-
-def without_prefilter(method: T) -> T:
-    """A method for epochs that its prefilter has been through: methods that differ in it alone share a program."""
-    if method.prefilter is None:
-        return method
-    return dataclasses.replace(method, prefilter=None)  # pyright: ignore[reportArgumentType, reportCallIssue]

@@ -63,7 +63,7 @@ class Fir(AbstractPrefilter):
     Attributes:
         cutoff: frequency (Hz) of gain 0.5 of the filter at the lowest rate; with the decimations before and after it
             the gain is 0.46 at 0.5 Hz.
-        frame: in which the specific force is filtered, "inertial" or "body".
+        frame: in which the specific force is filtered, see :data:`jaxalign.prefilter.base.Frame`.
 
     Source: the multirate filter that the Vondrak paper compares with (its Scheme 3; Lian et al.'s inertial-frame
     alignment); 200-40-8 Hz as there, number of taps and way back to the full rate ours.

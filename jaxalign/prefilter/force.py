@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import jax
+from typing import get_args
+
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.errors import UserError
-from jaxalign.prefilter.base import AbstractPrefilter
-from jaxalign.vector import Quat, Vec3
+from jaxalign.prefilter.base import AbstractPrefilter, Frame
+from jaxalign.preintegration import middle_attitudes
+from jaxalign.vector import Vec3
 
 __all__ = ["filtered_force"]
 
@@ -35,16 +38,9 @@ def filtered_force(
     dtheta, dvel = jnp.asarray(dtheta), jnp.asarray(dvel)
     if len(dvel) < 4:
         raise UserError(f"a prefilter needs at least 4 samples, the record has {len(dvel)}")
-    if prefilter.frame == "body":
-        return prefilter(dvel, dt)
+    check_choice("frame", prefilter.frame, get_args(Frame))
     if prefilter.frame != "inertial":
-        raise UserError(f"frame = {prefilter.frame!r}: a prefilter's frame is 'inertial' or 'body'")
-
-    def turn(q: Quat, half: Quat) -> tuple[Quat, Quat]:
-        middle = q * half
-        return (middle * half).renormalised(), middle
-
-    halves = Quat.turn(Vec3.of(dtheta) * 0.5)
-    q = jax.lax.scan(turn, Quat.identity(), halves)[1]
+        return prefilter(dvel, dt)
+    q = middle_attitudes(Vec3.of(dtheta))
     still = prefilter(q.rotate(Vec3.of(dvel)).array, dt)
     return q.conjugate().rotate(Vec3.of(still)).array

@@ -1,17 +1,6 @@
-"""What the smoothing factor is chosen by: the paper's objective, its usable reconstruction, and a better one.
+"""What the smoothing factor is chosen by: a pure function of spectra, differentiable.
 
-All are pure functions of spectra, differentiable where they are defined. With S the density of the force before and S'
-after the filter, the paper compares means of S - S' below and above the cut-off, in dB here (no unit is stated):
-
-``printed``
-    phi = exp(dL) (ln dH + 1) / ln dH, (27). dL is not negative, so phi exceeds one almost everywhere and grows without
-    bound as everything is smoothed away: degenerate.
-``reconstructed``
-    phi = exp(-|dL|) ln dH / ln(dH + 1): the only combination of these terms that tends to one from below. It
-    chooses 2 to 9 Hz and passes the disturbance it should remove; what it converges on is leakage of the tapers.
-``misfit``
-    J = int_low (1 - G)^2 S df + int_high G^2 S df: signal lost plus disturbance left, as power. One minimum, whatever
-    the scale of the data; no filtering in the loop.
+The objectives of the paper are in :mod:`jaxalign.published.objectives`.
 """
 
 from __future__ import annotations
@@ -25,62 +14,28 @@ from jaxtyping import Array, Float
 
 from jaxalign.errors import UserError
 
-__all__ = ["changes_db", "misfit", "printed", "reconstructed"]
-
-_FLOOR = 1e-300
+__all__ = ["low_band", "misfit"]
 
 
-def _low(frequency: Any, split: float) -> np.ndarray:
-    """Mask of the low band: zero frequency and the split included."""
+def low_band(frequency: Any, split: float) -> np.ndarray:
+    """Mask of the low band: zero frequency and the split included.
+
+    Raises:
+        UserError: the split is outside the spectrum.
+    """
     low = np.asarray(frequency) <= split * (1 + 1e-12)
     if low.all() or not low.any():
         raise UserError(f"split = {split:g} Hz: must lie within the frequencies of the spectrum")
     return low
 
 
-def changes_db(
-    frequency: Float[ArrayLike, " f"],
-    before: Float[ArrayLike, " f"],
-    after: Float[ArrayLike, " f"],
-    split: float = 0.5,
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """(25), (26): mean decrease (dB) of a spectrum by a filter, up to the split (Hz) and above it.
-
-    Densities below 1e-300 count as 1e-300: a perfect filter has no infinite decrease.
-
-    Raises:
-        UserError: the split is outside the spectrum.
-    """
-    low = _low(frequency, split)
-    difference = 10 * (
-        jnp.log10(jnp.maximum(jnp.asarray(before), _FLOOR)) - jnp.log10(jnp.maximum(jnp.asarray(after), _FLOOR))
-    )
-    return jnp.mean(difference[low]), jnp.mean(difference[~low])
-
-
-def _log_above_one(x: Any) -> tuple[Any, Any]:
-    """Ln x where x > 1, else a harmless number, and the mask."""
-    ok = x > 1.0
-    return jnp.log(jnp.where(ok, x, jnp.e)), ok
-
-
-def printed(low_db: Any, high_db: Any) -> tuple[Any, Any]:
-    """(27) as printed, and whether it is defined (high_db > 1; elsewhere 0 is returned: it has a pole at 1)."""
-    log, ok = _log_above_one(jnp.asarray(high_db))
-    return jnp.where(ok, jnp.exp(low_db) * (log + 1.0) / log, 0.0), ok
-
-
-def reconstructed(low_db: Any, high_db: Any) -> tuple[Any, Any]:
-    """(27) with its signs and fraction turned so that it tends to one; (value, defined). 0, its limit, up to 1 dB."""
-    log, ok = _log_above_one(jnp.asarray(high_db))
-    one_more = jnp.log(jnp.where(ok, jnp.asarray(high_db), jnp.e) + 1.0)
-    return jnp.where(ok, jnp.exp(-jnp.abs(low_db)) * log / one_more, 0.0), ok
-
-
 def misfit(
     frequency: Float[ArrayLike, " f"], density: Float[ArrayLike, " f"], gain: Float[ArrayLike, " f"], split: float = 0.5
 ) -> Float[Array, ""]:
     """J: power of the signal lost below the split (Hz) plus power of the disturbance left above it.
+
+    ``int_low (1 - G)^2 S df + int_high G^2 S df`` has one minimum, whatever the scale of the data, and no filtering in
+    the loop.
 
     Args:
         frequency: Hz, evenly spaced.
@@ -94,7 +49,7 @@ def misfit(
     Raises:
         UserError: the split is outside the spectrum.
     """
-    low = _low(frequency, split)
+    low = low_band(frequency, split)
     gain = jnp.asarray(gain)
     lost = jnp.where(low, (1.0 - gain) ** 2, gain**2)
     f = np.asarray(frequency)

@@ -53,8 +53,8 @@ class Vondrak(AbstractPrefilter):
 
     Attributes:
         cutoff: frequency (Hz) of gain 0.5.
-        frame: in which the specific force is filtered: "inertial" (the gyros turn it into b at the start and back;
-            right on a base that rocks) or "body" (axis by axis as measured).
+        frame: in which the specific force is filtered: inertial (the gyros turn it into b at the start and back; right
+            on a base that rocks) or body (axis by axis as measured).
 
     Source: the Vondrak paper, section 4; its cut-off is 0.5 Hz.
     """

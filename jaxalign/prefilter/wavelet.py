@@ -32,7 +32,7 @@ class Wavelet(AbstractPrefilter):
     Attributes:
         wavelet: an orthogonal wavelet of PyWavelets.
         cutoff: Hz; the level is the one whose band (half the rate, halved per level) ends nearest to it: 8 at 200 Hz.
-        frame: in which the specific force is filtered, "inertial" or "body".
+        frame: in which the specific force is filtered, see :data:`jaxalign.prefilter.base.Frame`.
 
     Source: the Vondrak paper's Scheme 4 (multiple levels of decomposition); wavelet and level are not stated there.
     """

@@ -9,14 +9,14 @@ import equinox as eqx
 
 from jaxalign.observe import AbstractObserve, Context, Pair
 
-__all__ = ["AbstractReconstruct", "Measured"]
+__all__ = ["AbstractReconstruct", "Identity"]
 
 
 class AbstractReconstruct(eqx.Module):
     """Slot: a pair in, a pair out."""
 
-    keeps_moment: ClassVar[bool] = True
-    """Whether the pair that comes out still has its ``moment``; else beta stands as the last attitude made it."""
+    keeps_displacement: ClassVar[bool] = True
+    """Whether the pair that comes out still has its ``displacement``; else beta stands as the last attitude made it."""
     fits: ClassVar[bool] = True
     """Whether the pair that comes out was fitted: its residual then hides outliers and biases."""
 
@@ -33,7 +33,7 @@ class AbstractReconstruct(eqx.Module):
         """Consume one pair; where ``pair.valid`` is False the state must not change."""
 
 
-class Measured(AbstractReconstruct):
+class Identity(AbstractReconstruct):
     """The pair as measured."""
 
     fits: ClassVar[bool] = False

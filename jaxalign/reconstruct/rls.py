@@ -35,28 +35,28 @@ class Rls(AbstractReconstruct):
 
     Attributes:
         forgetting: factor by which the past fades per epoch; 1 for none. The covariance never exceeds the prior.
-        prior: variance of the published coefficients over that of a vector's noise; usable 1e4 to 1e10.
+        prior_variance: variance of the published coefficients over that of a vector's noise; usable 1e4 to 1e10.
 
     Source: Xu 2017 (30)-(35).
     """
 
-    keeps_moment: ClassVar[bool] = False
+    keeps_displacement: ClassVar[bool] = False
     forgetting: Float[Array, ""] = tunable(1.0, unit="1", bounds=(0.9, 1.0))
-    prior: Float[Array, ""] = tunable(1e10, unit="1", bounds=(1e2, 1e11))
+    prior_variance: Float[Array, ""] = tunable(1e10, unit="1", bounds=(1e2, 1e11))
 
     def check(self, observe: AbstractObserve) -> None:
         """The basis is that of gravity itself, not of its integral."""
         if getattr(observe, "vectors", "") != "instantaneous":
             raise UserError(
                 "reconstruct: the recursive least squares fit the force of a standing vehicle interval by interval: "
-                "observe with Static(vectors='instantaneous'), or reconstruct velocities with ApparentVelocityFilter"
+                "observe with GravityVectors(vectors='instantaneous'), or take ApparentVelocityFilter for velocities"
             )
 
     def init(self) -> Any:
         """No coefficients, the prior's covariance."""
         k = EARTH_RATE * _SCALE
         rows = Vec3(k**4 / 4, 0.0, -(k**2) / 2), Vec3(0.0, k**2, 0.0), Vec3(-(k**2) / 2, 0.0, 2.0)
-        return _State(Mat3.zero(), Mat3(*(row * self.prior for row in rows)))
+        return _State(Mat3.zero(), Mat3(*(row * self.prior_variance for row in rows)))
 
     def update(self, state: Any, time: Any, beta: Vec3) -> Any:
         """Fit one more vector."""
@@ -83,7 +83,7 @@ class Rls(AbstractReconstruct):
         middle = context.time - 0.5 * context.dt
         state = where(pair.valid, self.update(state, middle, pair.beta), state)
         beta = where(pair.valid, self.at(state, middle), pair.beta)
-        return state, dataclasses.replace(pair, beta=beta, open_beta=beta)
+        return state, dataclasses.replace(pair, beta=beta, beta_without_coriolis=beta)
 
 
 def _basis(time: Any) -> Vec3:

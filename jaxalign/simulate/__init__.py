@@ -17,12 +17,13 @@ from jaxalign.lazy import lazily
 
 if TYPE_CHECKING:
     from jaxalign.simulate.aggregate import Intervals, intervals_of, measure_epochs, sample_epochs
-    from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+    from jaxalign.simulate.aid import SimulatedAid
+    from jaxalign.simulate.faults import AbstractFault, DeadComponent, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
     from jaxalign.simulate.file import scenario_file
     from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
     from jaxalign.simulate.measurement import (
         Scenario,
-        aid_velocity,
+        aid_values,
         imu_increments,
         log_of,
         measure,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     )
     from jaxalign.simulate.motions import (
         accelerate_and_turn,
+        road,
         s_turn,
         static_base,
         sway_underway,
@@ -38,49 +40,50 @@ if TYPE_CHECKING:
         zigzag,
     )
     from jaxalign.simulate.named import scenario, scenario_options, scenarios, simulate
-    from jaxalign.simulate.sensors import SineForce, TriadErrors, accel_errors, gyro_errors
+    from jaxalign.simulate.sensors import SineForce, draw_bias
     from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps, Sum
     from jaxalign.simulate.trajectory import (
         AbstractVelocity,
-        BodyVelocity,
         CourseVelocity,
-        NavVelocity,
         Trajectory,
+        VelocityInBody,
+        VelocityInNav,
     )
 
 __all__ = [
     "AbstractFault",
     "AbstractSignal",
     "AbstractVelocity",
-    "BodyVelocity",
     "Constant",
     "CourseVelocity",
+    "DeadComponent",
     "FixedOutliers",
     "Gap",
     "Intervals",
     "JumpOutliers",
-    "NavVelocity",
     "Ramps",
     "Scenario",
     "SegmentOutliers",
+    "SimulatedAid",
     "SineForce",
     "Sines",
     "Steps",
     "Sum",
     "Trajectory",
-    "TriadErrors",
     "Truth",
-    "accel_errors",
+    "VelocityInBody",
+    "VelocityInNav",
     "accelerate_and_turn",
-    "aid_velocity",
+    "aid_values",
+    "draw_bias",
     "exact_increments",
-    "gyro_errors",
     "imu_increments",
     "intervals_of",
     "log_of",
     "measure",
     "measure_epochs",
     "noiseless",
+    "road",
     "s_turn",
     "sample_epochs",
     "scenario",
@@ -99,14 +102,15 @@ __all__ = [
 
 _HOMES = {
     "aggregate": "Intervals intervals_of measure_epochs sample_epochs",
-    "faults": "AbstractFault FixedOutliers Gap JumpOutliers SegmentOutliers",
+    "aid": "SimulatedAid",
+    "faults": "AbstractFault DeadComponent FixedOutliers Gap JumpOutliers SegmentOutliers",
     "file": "scenario_file",
     "imu": "Truth exact_increments specific_force turn_rate",
-    "measurement": "Scenario aid_velocity imu_increments log_of measure noiseless truth",
-    "motions": "accelerate_and_turn s_turn static_base sway_underway swaying_base zigzag",
+    "measurement": "Scenario aid_values imu_increments log_of measure noiseless truth",
+    "motions": "accelerate_and_turn road s_turn static_base sway_underway swaying_base zigzag",
     "named": "scenario scenario_options scenarios simulate",
-    "sensors": "SineForce TriadErrors accel_errors gyro_errors",
+    "sensors": "SineForce draw_bias",
     "signals": "AbstractSignal Constant Ramps Sines Steps Sum",
-    "trajectory": "AbstractVelocity BodyVelocity CourseVelocity NavVelocity Trajectory",
+    "trajectory": "AbstractVelocity VelocityInBody CourseVelocity VelocityInNav Trajectory",
 }
 __getattr__, __dir__ = lazily(__name__, _HOMES)

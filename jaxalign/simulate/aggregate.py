@@ -13,6 +13,7 @@ Not for what looks at single samples: prefilters, vectors at IMU rate, a disturb
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -20,15 +21,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxalign.epochs import Epoch, Epochs
+from jaxalign.aids import AbstractAid, Standing
+from jaxalign.epochs import Epoch, Epochs, Fix
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import AbstractTriadErrors
 from jaxalign.preintegration import Increment, integrated, paired, preintegrate
 from jaxalign.simulate.imu import Truth
-from jaxalign.simulate.measurement import Scenario, aid_velocity, source_keys
+from jaxalign.simulate.measurement import Scenario, aid_values, source_keys
+from jaxalign.simulate.moments import covariance, moments_of, root, step_sd, turns
 from jaxalign.simulate.random import blocks, each, fold, normals
+from jaxalign.simulate.sensors import WANDER, draw_bias
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["Intervals", "intervals_of", "measure_epochs", "sample_epochs"]
+__all__ = ["Intervals", "fixes_of", "intervals_of", "measure_epochs", "observed", "sample_epochs"]
 
 _PIECE = 24  # pairs of samples whose noise is drawn at a time
 _LEAST_HZ = 50.0  # from here on two samples turn by less than a radian, at 1400 deg/s
@@ -61,18 +66,7 @@ class Intervals(eqx.Module):
 @eqx.filter_jit
 def intervals_of(truth: Truth, samples: int) -> Intervals:
     """Preintegrate a truth (once) over intervals of so many samples."""
-    count = truth.dtheta.shape[0] // samples
-    th, dv = (x[: count * samples].reshape(count, samples, 3).swapaxes(0, 1) for x in (truth.dtheta, truth.dvel))
-
-    def turn(q: Quat, half: Quat) -> tuple[Quat, Quat]:
-        middle = q * half
-        return (middle * half).renormalised(), middle
-
-    start = jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), Quat.identity())
-    middle = jax.lax.scan(turn, start, Quat.turn(Vec3.of(th) * 0.5))[1]
-    r = middle.matrix.array  # (samples, M, 3, 3)
-    v = middle.rotate(Vec3.of(dv)).array
-    w = jnp.sum(v, 0) - jnp.cumsum(v, 0) + 0.5 * v
+    r, w = turns(truth, samples)
     lever = jnp.mean(w, 0)
     u = w - lever
     scatter = jnp.sum(u * u, (0, 2))[:, None, None] * jnp.eye(3) - jnp.einsum("sma,smb->mab", u, u)
@@ -81,7 +75,9 @@ def intervals_of(truth: Truth, samples: int) -> Intervals:
     return Intervals(whole.rotation, whole.dvel, jnp.sum(r, 0), moved, Vec3.of(lever), scatter, truth, samples)
 
 
-def measure_epochs(intervals: Intervals, scenario: Scenario, key: PRNGKeyArray) -> Epochs:
+def measure_epochs(
+    intervals: Intervals, scenario: Scenario, key: PRNGKeyArray, aids: tuple[AbstractAid, ...] | None = None
+) -> Epochs:
     """Epochs of one run: noise drawn per interval, biases, aid and faults those of :func:`measure` with the same key.
 
     Pure: `jit` it with the intervals and the scenario as arguments.
@@ -91,6 +87,7 @@ def measure_epochs(intervals: Intervals, scenario: Scenario, key: PRNGKeyArray) 
         scenario: of that truth.
         key: of a run; or (runs,) of them, which is several times faster than `vmap`: the leaves of ``rows`` but ``dt``
             then have the runs on their last axis.
+        aids: that the epochs hold; None: all of the scenario, or that of a vehicle that stands.
 
     Raises:
         UserError: the scenario has a disturbance of the force, which is not white.
@@ -100,31 +97,99 @@ def measure_epochs(intervals: Intervals, scenario: Scenario, key: PRNGKeyArray) 
     dt, n, runs = intervals.truth.dt, intervals.samples, key.shape
     count = intervals.dvel.x.shape[0]
 
-    def every(x: Any) -> Any:  # what all runs have in common
-        return jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape, *(1 for _ in runs)), x)
-
+    every = _every(runs)
     gyro_key, accel_key, *_ = source_keys(key)
+    imu = scenario.imu
     gyro, accel = (
-        each(lambda k, e=e: e.draw_bias(jax.random.split(k)[0]) * dt, source)
-        for e, source in ((scenario.gyro, gyro_key), (scenario.accel, accel_key))
+        each(lambda k, e=e: draw_bias(e, scenario.bias, jax.random.split(k)[0]) * dt, source)
+        for e, source in ((imu.gyro, gyro_key), (imu.accel, accel_key))
     )
-    sd_gyro, sd_accel = scenario.gyro.increment_sd(dt), scenario.accel.increment_sd(dt)
     z = normals(fold(gyro_key, 1), 6 * count).astype(jnp.float64).reshape(6, count, *runs)
-    tilt = Vec3(z[0], z[1], z[2]) * (sd_gyro * jnp.sqrt(float(n)))
-    root = every(_root(intervals.scatter * sd_gyro**2 + n * sd_accel**2 * jnp.eye(3)))
-    speed = Vec3(
-        root[0][0] * z[3],
-        root[1][0] * z[3] + root[1][1] * z[4],
-        root[2][0] * z[3] + root[2][1] * z[4] + root[2][2] * z[5],
-    )
-    speed = speed - every(intervals.lever).cross(tilt)
+    tilt, speed, gyro, accel = (_alike if imu.alike else _apart)(intervals, scenario, key, z, gyro, accel)
     tilt = tilt + _times(every(intervals.turned), gyro)
     speed = speed + _times(every(intervals.turned), accel) - _times(every(intervals.moved), gyro)
     moved = Increment(Quat.turn(tilt) * every(intervals.rotation), every(intervals.dvel) + speed)
-    return _epochs(moved, intervals.truth, scenario, key, n)
+    return _epochs(moved, intervals.truth, scenario, key, n, aids)
 
 
-def sample_epochs(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: int) -> Epochs:
+def _every(runs: tuple[int, ...]) -> Callable[[Any], Any]:
+    """What all runs have in common, with their axis."""
+    return lambda tree: jax.tree.map(lambda x: x.reshape(*x.shape, *(1 for _ in runs)), tree)
+
+
+def _alike(
+    intervals: Intervals, scenario: Scenario, key: PRNGKeyArray, z: Array, gyro: Array, accel: Array
+) -> tuple[Vec3, Vec3, Array, Array]:
+    """White noise of each interval (rotation, velocity) of a unit with constant biases and one noise for all axes.
+
+    Args:
+        intervals: the truth.
+        scenario: of it.
+        key: of the runs.
+        z: (6, M, *runs) unit normals.
+        gyro: (3, *runs) what the biases add to each increment, rad.
+        accel: likewise, m/s.
+
+    Returns:
+        Noise, and what the biases add to each increment of an interval.
+    """
+    dt, n, every = intervals.truth.dt, intervals.samples, _every(key.shape)
+    sd_gyro, sd_accel = scenario.imu.gyro.increment_sd(dt), scenario.imu.accel.increment_sd(dt)
+    tilt = Vec3(z[0], z[1], z[2]) * (sd_gyro * jnp.sqrt(float(n)))
+    factor = every(root(intervals.scatter * sd_gyro**2 + n * sd_accel**2 * jnp.eye(3)))
+    speed = Vec3(
+        factor[0][0] * z[3],
+        factor[1][0] * z[3] + factor[1][1] * z[4],
+        factor[2][0] * z[3] + factor[2][1] * z[4] + factor[2][2] * z[5],
+    )
+    return tilt, speed - every(intervals.lever).cross(tilt), gyro, accel
+
+
+def _apart(
+    intervals: Intervals, scenario: Scenario, key: PRNGKeyArray, z: Array, gyro: Array, accel: Array
+) -> tuple[Vec3, Vec3, Array, Array]:
+    """What :func:`_alike` gives, for any unit: noise that differs between the axes, biases that wander.
+
+    The biases that it returns have shape (3, M, *runs) where they wander: those at the start of each interval.
+    """
+    dt, n, every = intervals.truth.dt, intervals.samples, _every(key.shape)
+    moments = moments_of(intervals.truth, n)
+    factor = every(root(covariance(moments, scenario.imu, dt)))
+    noise = [sum((row[k] * z[k] for k in range(1, len(row))), row[0] * z[0]) for row in factor]
+    tilt, speed = Vec3(*noise[:3]), Vec3(*noise[3:])
+    onto_tilt, onto_speed = every(moments.ramp[:, :3]), every(moments.ramp[:, 3:])
+    gyro_key, accel_key, *_ = source_keys(key)
+    steps = [
+        _steps(errors, source, len(moments.ramp), n, dt)
+        for errors, source in ((scenario.imu.gyro, gyro_key), (scenario.imu.accel, accel_key))
+    ]
+    if steps[0] is not None:
+        tilt, speed = tilt + _times(onto_tilt, steps[0]), speed + _times(onto_speed, steps[0])
+    if steps[1] is not None:
+        speed = speed + _times(onto_tilt, steps[1])
+    gyro, accel = (
+        bias if step is None else bias[:, None] + jnp.cumsum(step, axis=1) - step
+        for bias, step in zip((gyro, accel), steps, strict=True)
+    )
+    return tilt, speed, gyro, accel
+
+
+def _steps(errors: AbstractTriadErrors, key: PRNGKeyArray, count: int, samples: int, dt: Any) -> Array | None:
+    """(3, M, *runs) what the bias has moved at the end of each interval, as the error of an increment, rad or m/s."""
+    step = step_sd(errors, dt)
+    if step is None:
+        return None
+    z = normals(fold(key, WANDER), 3 * count).astype(jnp.float64).reshape(3, count, *key.shape)
+    return z * (step * jnp.sqrt(float(samples))).reshape(3, *(1 for _ in z.shape[1:]))
+
+
+def sample_epochs(
+    truth: Truth,
+    scenario: Scenario,
+    key: PRNGKeyArray,
+    samples: int,
+    aids: tuple[AbstractAid, ...] | None = None,
+) -> Epochs:
     """Epochs of the runs with these keys, the noise per IMU sample: those of :func:`measure` with the same keys.
 
     Interval by interval, so that the samples are never held: as :func:`measure` and a preintegration would have it, but
@@ -135,6 +200,7 @@ def sample_epochs(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: 
         scenario: of that truth.
         key: of a run, or (runs,) of them, as in :func:`measure_epochs`.
         samples: per interval, at least two.
+        aids: as in :func:`measure_epochs`.
 
     Raises:
         UserError: the scenario has a disturbance of the force.
@@ -143,33 +209,66 @@ def sample_epochs(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: 
         raise UserError("a disturbed base is measured sample by sample: use measure")
     count, dt = truth.dtheta.shape[0] // samples, truth.dt
     sources: list[tuple[Array, PRNGKeyArray, Any]] = []
-    for errors, source in zip((scenario.gyro, scenario.accel), source_keys(key), strict=False):
+    imu, kind, runs = scenario.imu, scenario.bias, key.shape
+    triads = tuple(zip((imu.gyro, imu.accel), source_keys(key), strict=False))
+    for errors, source in triads:
         halves = [each(lambda k, i=i: jax.random.key_data(jax.random.split(k)[i]), source) for i in (0, 1)]
         bias_key, noise_key = (jax.random.wrap_key_data(jnp.moveaxis(x, 0, -1)) for x in halves)
-        sources.append((each(errors.draw_bias, bias_key) * dt, noise_key, errors.increment_sd(dt)))
+        bias = each(lambda k, errors=errors: draw_bias(errors, kind, k), bias_key) * dt
+        sources.append((bias, noise_key, jnp.broadcast_to(errors.increment_sd(dt), (3,))))
 
     terms = 8 if scenario.imu_rate >= _LEAST_HZ else 14
 
-    def interval(row: tuple[Array, Array, Array]) -> Increment:
+    def interval(walked: Any, row: tuple[Array, Array, Array]) -> tuple[Any, Increment]:
         start, *exact = row
+        pairs = [_wandering(x, *w, start, dt) for x, w in zip(exact, zip(triads, walked, strict=True), strict=True)]
+        exact, walked = zip(*pairs, strict=True)
         if samples % 2:
-            return integrated(*(_measured(x, *source, start) for x, source in zip(exact, sources, strict=True)))
+            measured = (_measured(x, *source, start) for x, source in zip(exact, sources, strict=True))
+            return walked, integrated(*measured)
         th, dv = (_measured_pairs(x, *source, start // 2) for x, source in zip(exact, sources, strict=True))
-        return paired(th[0], dv[0], th[1], dv[1], terms)
+        return walked, paired(th[0], dv[0], th[1], dv[1], terms)
 
-    rows = (x[: count * samples].reshape(count, samples, 3) for x in (truth.dtheta, truth.dvel))
+    th, dv = (x[: count * samples].reshape(count, samples, 3) for x in (truth.dtheta, truth.dvel))
     starts = 3 * samples * jnp.arange(count, dtype=jnp.uint32)
-    return _epochs(jax.lax.map(interval, (starts, *rows)), truth, scenario, key, samples)
+    still = tuple(None if errors.bias_walk is None else jnp.zeros((3, *runs)) for errors, _ in triads)
+    return _epochs(jax.lax.scan(interval, still, (starts, th, dv))[1], truth, scenario, key, samples, aids)
+
+
+def _wandering(
+    exact: Array, triad: tuple[AbstractTriadErrors, PRNGKeyArray], walked: Any, start: Array, dt: Any
+) -> tuple[Array, Any]:
+    """Samples (samples, 3, *runs) of an interval with what the bias has moved since the start of the run.
+
+    Args:
+        exact: (samples, 3).
+        triad: its errors, and keys.
+        walked: (3, *runs) before the interval; None: the bias is constant.
+        start: the first number of the steps.
+        dt: of a sample, s.
+
+    Returns:
+        They, and ``walked`` after the interval.
+    """
+    errors, key = triad
+    step, shape = step_sd(errors, dt), exact.shape
+    exact = exact.reshape(*shape, *(1 for _ in key.shape))
+    if step is None:
+        return exact, walked
+    z = normals(fold(key, WANDER), 3 * len(exact), start).astype(jnp.float64).reshape(*shape, *key.shape)
+    steps = z * step.reshape(3, *(1 for _ in key.shape))
+    total = jnp.cumsum(steps, axis=0)
+    return exact + walked + total - steps, walked + total[-1]
 
 
 def _measured(exact: Array, bias: Array, key: PRNGKeyArray, sd: Any, start: Array) -> Vec3:
-    """Samples (samples, 3) of an interval with their errors; `start`: the first number of their noise."""
-    z = normals(key, exact.size, start).astype(jnp.float64).reshape(*exact.shape, *key.shape)
+    """Samples (samples, 3, *runs) of an interval with their errors; `start`: the first number of their noise."""
+    z = normals(key, 3 * len(exact), start).astype(jnp.float64).reshape(*exact.shape[:2], *key.shape)
     return _spoiled(exact, bias, (z[:, 0], z[:, 1], z[:, 2]), sd)
 
 
 def _measured_pairs(exact: Array, bias: Array, key: PRNGKeyArray, sd: Any, start: Array) -> tuple[Vec3, Vec3]:
-    """The same numbers as first and second samples of pairs, whose noise is three blocks; `start`: of the first."""
+    """Samples with errors as the first and second of pairs, whose noise is three blocks; `start`: of the first."""
     pairs = len(exact) // 2
     piece = max(d for d in range(1, min(max(pairs // 2, 1), _PIECE) + 1) if pairs % d == 0)
     starts = start + 3 * piece * jnp.arange(pairs // piece, dtype=jnp.uint32)
@@ -182,55 +281,76 @@ def _measured_pairs(exact: Array, bias: Array, key: PRNGKeyArray, sd: Any, start
 
 
 def _spoiled(exact: Array, bias: Array, noise: tuple[Array, Array, Array], sd: Any) -> Vec3:
-    """Samples (n, 3) plus bias and white noise of each run: components (n, *runs)."""
-    runs = bias.shape[1:]
-    return Vec3(*(exact[:, i].reshape(-1, *(1 for _ in runs)) + bias[i] + noise[i] * sd for i in range(3)))
+    """Samples (n, 3, *runs) plus bias and white noise of each run: components (n, *runs)."""
+    return Vec3(*(exact[:, i] + bias[i] + noise[i] * sd[i] for i in range(3)))
 
 
-def _epochs(moved: Increment, truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: int) -> Epochs:
-    """With an epoch at the start, and the aid."""
+def _epochs(
+    moved: Increment,
+    truth: Truth,
+    scenario: Scenario,
+    key: PRNGKeyArray,
+    samples: int,
+    aids: tuple[AbstractAid, ...] | None,
+) -> Epochs:
+    """With an epoch at the start, and the aids."""
     count = moved.dvel.x.shape[0]
     still = jax.tree.map(lambda x: jnp.zeros((1, *key.shape)) + x, Increment(Quat.identity(), Vec3.zero()))
     rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), still, moved)
     steps = jnp.concatenate([jnp.zeros(1), jnp.full(count, samples * truth.dt)])
-    safe, valid = _aid(truth, scenario, key, samples, count)
-    interval = float(f"{samples / scenario.imu_rate:.4g}")
-    return Epochs(
-        Epoch(rows.rotation, rows.dvel, steps, safe, valid), scenario.site, scenario.aid_sd, scenario.aid, interval
-    )
+    chosen = observed(scenario, aids)
+    fixes = fixes_of(truth, scenario, key, samples, count, chosen)
+    density = scenario.imu.at_rate(scenario.imu_rate).accel.density  # of a standing vehicle: of the force
+    force = jnp.sqrt(jnp.mean(jnp.square(density)) * samples * truth.dt)
+    sd = tuple(force if aid.implied else scenario.aids[number].sd for aid, number in chosen)
+    rows = Epoch(rows.rotation, rows.dvel, steps, fixes)
+    return Epochs(rows, scenario.site, sd, tuple(aid for aid, _ in chosen))
+
+
+def observed(scenario: Scenario, aids: tuple[AbstractAid, ...] | None) -> tuple[tuple[AbstractAid, int], ...]:
+    """Aids that are asked for, and their numbers in a scenario (-1: an assumption); None: all that there are.
+
+    Raises:
+        UserError: the scenario has no such aid.
+    """
+    if aids is None:
+        return tuple((one.aid, i) for i, one in enumerate(scenario.aids)) or ((Standing(), -1),)
+    out = []
+    for aid in aids:
+        alike = [i for i, one in enumerate(scenario.aids) if type(one.aid) is type(aid)]
+        named = [i for i in alike if scenario.aids[i].aid.name == aid.name]
+        found = named or (alike if len(alike) == 1 else [])
+        if not found and not aid.implied:
+            there = ", ".join(one.aid.name for one in scenario.aids) or "no aid: the vehicle stands"
+            raise UserError(f"{scenario.name} has no {aid.name} ({aid.described}), which is observed: it has {there}")
+        out.append((aid, -1) if aid.implied else (scenario.aids[found[0]].aid, found[0]))
+    return tuple(out)
+
+
+def fixes_of(
+    truth: Truth,
+    scenario: Scenario,
+    key: PRNGKeyArray,
+    samples: int,
+    count: int,
+    chosen: tuple[tuple[AbstractAid, int], ...],
+) -> tuple[Fix, ...]:
+    """What the aids measure at epochs of so many samples, of one run or many."""
+    numbers = tuple(number for _, number in chosen if number >= 0)
+    values = dict(zip(numbers, aid_values(truth, scenario, key, numbers), strict=True))
+    out = []
+    for aid, number in chosen:
+        if number < 0:
+            zero = jnp.zeros((count + 1, *key.shape))
+            out.append(Fix((zero,) * len(aid.components), jnp.ones((count + 1, *key.shape), bool)))
+            continue
+        value, ratio = values[number], scenario.epoch_samples // samples
+        if ratio > 1:  # epochs between two fixes have no aid
+            value = jnp.full((count + 1, *value.shape[1:]), jnp.nan).at[::ratio].set(value)
+        out.append(Fix.of(jnp.moveaxis(value, 1, -1), scenario.aids[number].partial))
+    return tuple(out)
 
 
 def _times(m: Float[Array, "m 3 3 ..."], v: Float[Array, "3 ..."]) -> Vec3:
     """Matrix of each interval times vector of each run."""
     return Vec3(*(m[:, i, 0] * v[0] + m[:, i, 1] * v[1] + m[:, i, 2] * v[2] for i in range(3)))
-
-
-def _aid(truth: Truth, scenario: Scenario, key: PRNGKeyArray, samples: int, count: int) -> tuple[Vec3, Array]:
-    """Velocities at the epochs, any number where there is none, and where there is one."""
-    velocity = aid_velocity(truth, scenario, key)
-    if velocity is None:
-        return jax.tree.map(lambda x: jnp.zeros((count + 1, *key.shape)) + x, Vec3.zero()), jnp.ones(
-            (count + 1, *key.shape), bool
-        )
-    ratio = scenario.aid_every // samples
-    if ratio > 1:  # epochs between two fixes have no aid
-        velocity = jnp.full((count + 1, 3, *key.shape), jnp.nan).at[::ratio].set(velocity)
-    valid = jnp.all(jnp.isfinite(velocity), axis=1)
-    return Vec3(*(jnp.where(valid, velocity[:, i], 0.0) for i in range(3))), valid
-
-
-def _root(m: Array) -> Any:
-    """Lower Cholesky factors (M, 3, 3), by components; zero where the matrix is zero."""
-
-    def root(x: Array) -> Array:
-        ok = x > 0
-        return jnp.where(ok, jnp.sqrt(jnp.where(ok, x, 1.0)), 0.0)
-
-    def over(x: Array, y: Array) -> Array:
-        return jnp.where(y > 0, x / jnp.where(y > 0, y, 1.0), 0.0)
-
-    a = root(m[:, 0, 0])
-    b, c = over(m[:, 1, 0], a), over(m[:, 2, 0], a)
-    d = root(m[:, 1, 1] - b * b)
-    e = over(m[:, 2, 1] - b * c, d)
-    return (a,), (b, d), (c, e, root(m[:, 2, 2] - c * c - e * e))

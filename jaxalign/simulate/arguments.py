@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,10 +10,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
-from jaxalign.errors import UserError, close_names
+from jaxalign.errors import UserError
 from jaxalign.precision import require_x64
 
-__all__ = ["choice", "leaf", "nearest", "parsed"]
+__all__ = ["leaf", "parsed"]
 
 
 def leaf(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> Array:
@@ -24,6 +23,8 @@ def leaf(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> A
         UserError: if a concrete value is not a number, not finite or outside ``low .. high``.
     """
     require_x64()
+    if isinstance(value, str):  # NumPy would read it
+        raise UserError(f"{what}: expected a number or a list of numbers, got {value!r}")
     try:
         array = jnp.asarray(value, jnp.float64)
     except (TypeError, ValueError) as error:
@@ -50,24 +51,3 @@ def parsed(value: Any, default: Any) -> Any:
         return json.loads(value.lower())
     except json.JSONDecodeError:
         return value
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown word: the nearest known ones first, or all of them."""
-    known = list(known)
-    close = close_names(word, known)
-    if close:
-        return f"did you mean {' or '.join(repr(k) for k in close)}? (known: {', '.join(known)})"
-    return f"known: {', '.join(known) or 'none'}"
-
-
-def choice(value: Any, what: str, known: Iterable[Any]) -> Any:
-    """The value, if it is one of the known ones.
-
-    Raises:
-        UserError: otherwise, naming the nearest.
-    """
-    known = list(known)
-    if any(type(value) is type(k) and value == k for k in known):
-        return value
-    raise UserError(f"{what}: unknown value {value!r}; {nearest(str(value), [str(k) for k in known])}")

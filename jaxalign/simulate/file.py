@@ -7,31 +7,41 @@
     duration = 300.0             # s
     imu_rate = 200.0             # Hz
     epoch = 1.0                  # s: of the aid, or of the vectors of a standing vehicle
-    aid = "body"                 # "body", "nav" or "static"
-    aid_sd = 0.1                 # m/s
+    aid = "body"                 # one aid: its kind, "body", "nav", "heading"; or "static": none
+    aid_sd = 0.1                 # in its unit (m/s, rad)
+    bias = "sign"                # how a run draws the biases of its unit: sign, gaussian, fixed
+
+    [[aids]]                     # or several, in place of the two
+    kind = "heading"             # and its options: name = "compass"; of a velocity components = ["forward"]
+    sd = 0.01                    # in its unit, one, or of each component
+    interval = 0.1               # s between values, a whole number of epochs (default: one epoch)
+    unknowns = { offset = 0.05 } # true values of its unknowns, SI
+    unknown_sd = { offset = 0.1 } # or deviations with which runs draw them
+    faults = [{ kind = "gap", start = 20.0, stop = 30.0 }]
 
     [site]
     lat_deg = 54.3               # with lon_deg, h (m)
 
-    [gyro]                       # the bias one number or three
+    [gyro]                       # each one number or three: [0.02, 0.02, 0.05]
     bias_deg_h = 0.02
     walk_deg_sqrt_h = 0.005
     noise_deg_h = 0.0            # per sample
-    bias = "sign"                # how a run draws it: sign, gaussian, fixed
+    bias_walk_deg_h_sqrt_h = 0.1 # without it the bias is constant
 
     [accel]
     bias_ug = 50.0
-    density_ug_sqrt_hz = 50.0    # also noise_ug, bias
+    density_ug_sqrt_hz = 50.0    # also noise_ug, bias_walk_ug_sqrt_h
 
     [[faults]]                   # of the aid, applied in this order
     kind = "fixed"               # probability, factor, single_axis, first; "segment": ends, probability, factor, ...;
-    probability = 0.02           # "jump": probability, low, high, first; "gap": start, stop
+    probability = 0.02           # "jump": probability, low, high, first; "gap": start, stop;
+                                 # "dead": component (from 0), start, stop
 
     [force]                      # of a shaken base
     amplitude_mg = 10.0          # frequency = [1.0, 5.0], random_start
 
-    [motion]                     # one of: s_turn, accelerate_and_turn, zigzag, swaying_base, sway_underway, static_base
-    name = "s_turn"              # with its arguments: speed = 3.0
+    [motion]                     # one of: s_turn, accelerate_and_turn, zigzag, road, swaying_base, sway_underway,
+    name = "s_turn"              # static_base; with its arguments: speed = 3.0
 
     [trajectory]                 # or signals of time, which add up: angles in degrees, velocities in m/s
     pitch = 2.0                  # a constant
@@ -58,16 +68,19 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxalign.aids import Standing, from_plain
+from jaxalign.arguments import nearest
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
 from jaxalign.simulate import motions
-from jaxalign.simulate.arguments import nearest
-from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+from jaxalign.simulate.aid import SimulatedAid
+from jaxalign.simulate.faults import AbstractFault, DeadComponent, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
 from jaxalign.simulate.measurement import Scenario
 from jaxalign.simulate.named import scenario
-from jaxalign.simulate.sensors import SineForce, accel_errors, gyro_errors
+from jaxalign.simulate.sensors import SineForce
 from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps
-from jaxalign.simulate.trajectory import AbstractVelocity, BodyVelocity, CourseVelocity, NavVelocity, Trajectory
+from jaxalign.simulate.trajectory import AbstractVelocity, CourseVelocity, Trajectory, VelocityInBody, VelocityInNav
 
 __all__ = ["scenario_file"]
 
@@ -77,15 +90,22 @@ _MOTIONS: dict[str, Callable[..., Trajectory]] = {
         motions.s_turn,
         motions.accelerate_and_turn,
         motions.zigzag,
+        motions.road,
         motions.swaying_base,
         motions.sway_underway,
         motions.static_base,
     )
 }
-_FAULTS = {"fixed": FixedOutliers, "segment": SegmentOutliers, "jump": JumpOutliers, "gap": Gap}
+_FAULTS = {
+    "fixed": FixedOutliers,
+    "segment": SegmentOutliers,
+    "jump": JumpOutliers,
+    "gap": Gap,
+    "dead": DeadComponent,
+}
 _VELOCITY: dict[str, tuple[Callable[..., AbstractVelocity], tuple[str, ...]]] = {
-    "body": (BodyVelocity, ("right", "forward", "up")),
-    "nav": (NavVelocity, ("east", "north", "up")),
+    "body": (VelocityInBody, ("right", "forward", "up")),
+    "nav": (VelocityInNav, ("east", "north", "up")),
     "course": (CourseVelocity, ("speed", "course")),
 }
 _DEG = np.pi / 180.0
@@ -113,7 +133,7 @@ def scenario_file(path: str | os.PathLike[str]) -> Scenario:
 
 
 def _scenario(table: Mapping[str, Any], stem: str) -> Scenario:
-    known = ("name", "base", "options", "duration", "imu_rate", "epoch", "aid", "aid_sd")
+    known = ("name", "base", "options", "duration", "imu_rate", "epoch", "aid", "aid_sd", "aids", "bias")
     _check_keys(table, (*known, "site", "gyro", "accel", "faults", "force", "motion", "trajectory"), "")
     parts: dict[str, Any] = {"name": _text(table, "name", stem)}
     if "base" in table:
@@ -125,39 +145,99 @@ def _scenario(table: Mapping[str, Any], stem: str) -> Scenario:
     else:
         if "options" in table:
             raise UserError("options: they belong to a named scenario: say which with base = ...")
-        missing = [key for key in ("site", "aid", "imu_rate", "epoch", "duration") if key not in table]
+        missing = [key for key in ("site", "imu_rate", "epoch", "duration") if key not in table]
+        if not {"aid", "aids"} & set(table):
+            missing.insert(1, "aid")
         if not {"motion", "trajectory"} & set(table):
             missing.append("motion or trajectory")
         if missing:
             raise UserError(f"{', '.join(missing)}: missing (or start from a named scenario with base = ...)")
-    for key in ("duration", "imu_rate", "aid_sd"):
+    for key in ("duration", "imu_rate"):
         if key in table:
             parts[key] = _number(table, key)
-    if "aid" in table:
-        parts["aid"] = _text(table, "aid")
+    if "bias" in table:
+        parts["bias"] = _text(table, "bias")
     if "epoch" in table or ("imu_rate" in table and "base" in table):
-        epoch = _number(table, "epoch") if "epoch" in table else parts["aid_every"] / base.imu_rate  # pyright: ignore[reportPossiblyUnboundVariable]
+        epoch = _number(table, "epoch") if "epoch" in table else parts["epoch_samples"] / base.imu_rate  # pyright: ignore[reportPossiblyUnboundVariable]
         every = epoch * parts["imu_rate"]
         if not 1 <= every < np.inf or abs(every - round(every)) > 1e-6:
             raise UserError(
                 f"epoch: {epoch:g} s are {every:g} IMU samples at {parts['imu_rate']:g} Hz: not a whole number"
             )
-        parts["aid_every"] = round(every)
+        parts["epoch_samples"] = round(every)
     makers: dict[str, tuple[str, Callable[[Any], Any]]] = {
         "site": ("site", _site),
-        "gyro": ("gyro", lambda x: _called(gyro_errors, _renamed(x, "bias", "kind"), "gyro")),
-        "accel": ("accel", lambda x: _called(accel_errors, _renamed(x, "bias", "kind"), "accel")),
         "force": ("force", lambda x: _called(SineForce.of_mg, x, "force", ("frequency", "random_start"))),
-        "faults": ("faults", _faults),
         "motion": ("trajectory", _motion),
         "trajectory": ("trajectory", _trajectory),
     }
+    triads = {
+        key: _triad(kind, _table(table, key), key)
+        for key, kind in (("gyro", GyroErrors), ("accel", AccelErrors))
+        if key in table
+    }
+    parts["imu"] = dataclasses.replace(parts.get("imu", ImuErrors()), **triads)
     if "motion" in table and "trajectory" in table:
         raise UserError("motion and trajectory: give one of them")
     for key, (field, make) in makers.items():
         if key in table:
-            parts[field] = make(table[key] if key == "faults" else _table(table, key))
+            parts[field] = make(_table(table, key))
+    if {"aid", "aid_sd", "faults", "aids"} & set(table):
+        parts["aids"] = _aids(table, parts.get("aids", ()), parts["epoch_samples"] / parts["imu_rate"])
     return Scenario(**parts)
+
+
+def _aids(table: Mapping[str, Any], base: tuple[SimulatedAid, ...], epoch: float) -> tuple[SimulatedAid, ...]:
+    """The aids: listed, or one by its kind, noise and faults, in part those of the scenario to start from."""
+    if "aids" in table:
+        if more := [key for key in ("aid", "aid_sd", "faults") if key in table]:
+            raise UserError(f"{more[0]}: it stands in [[aids]] where there are several")
+        if not isinstance(table["aids"], list):
+            raise UserError("aids: write each as a table [[aids]]")
+        return tuple(_aid(one, f"aids {i + 1}", epoch) for i, one in enumerate(table["aids"]))
+    given: dict[str, Any] = {}
+    if "aid_sd" in table:
+        given["sd"] = _number(table, "aid_sd")
+    if "faults" in table:
+        given["faults"] = _faults(table["faults"])
+    kind = _text(table, "aid") if "aid" in table else (base[0].aid.kind if base else Standing.kind)
+    if kind == Standing.kind:
+        return ()
+    if len(base) > 1:
+        there = ", ".join(one.aid.name for one in base)
+        raise UserError(f"aid, aid_sd, faults: the base has several aids ({there}): write all of them as [[aids]]")
+    if not base:
+        return (SimulatedAid(from_plain({"kind": kind}), **given),)
+    if kind == base[0].aid.kind:
+        return (dataclasses.replace(base[0], **given),)
+    aid = from_plain({"kind": kind})
+    if aid.unit == base[0].aid.unit:
+        given = {"sd": base[0].sd, "faults": base[0].faults} | given
+    elif "sd" not in given:
+        raise UserError(f"aid_sd: missing: that of the base is in {base[0].aid.unit}, a {kind} is in {aid.unit}")
+    return (SimulatedAid(aid, **given),)
+
+
+def _aid(table: Any, where: str, epoch: float) -> SimulatedAid:
+    if not isinstance(table, Mapping):
+        raise UserError(f"aids: {table!r} is no table: write each as [[aids]]")
+    own = ("sd", "interval", "unknowns", "unknown_sd", "faults")
+    try:
+        aid = from_plain({key: value for key, value in table.items() if key not in own})
+        every = _number(table, "interval", epoch, where) / epoch
+        if every < 1 or abs(every - round(every)) > 1e-6:
+            raise UserError(f"interval: {every * epoch:g} s are {every:g} epochs: not a whole number")
+        values, deviations = (_table(table, key, where) for key in ("unknowns", "unknown_sd"))
+        faults = _faults(table.get("faults", []))
+        return SimulatedAid(aid, table.get("sd", 0.0), faults, values, deviations, round(every))
+    except UserError as error:
+        raise UserError(f"[{where}] {error}".replace(f"[{where}] [{where}]", f"[{where}]")) from None
+
+
+def _triad(kind: Callable[..., Any], table: Mapping[str, Any], where: str) -> Any:
+    if "bias" in table:
+        raise UserError(f"[{where}] bias: say once, above the tables, how runs draw biases: bias = {table['bias']!r}")
+    return _called(kind, table, where)
 
 
 def _site(table: Mapping[str, Any]) -> Site:
@@ -266,13 +346,6 @@ def _called(make: Callable[..., Any], table: Mapping[str, Any], where: str, more
 def _numeric(values: Any) -> bool:
     """Whether it is a list of numbers."""
     return isinstance(values, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in values)
-
-
-def _renamed(table: Mapping[str, Any], old: str, new: str) -> dict[str, Any]:
-    """The file says `bias` for the kind of draw; the Python argument is `kind`."""
-    if new in table:
-        raise UserError(f"{new}: unknown key; did you mean {old!r}?")
-    return {new if key == old else key: value for key, value in table.items()}
 
 
 def _check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:

@@ -27,26 +27,30 @@ class Truth(eqx.Module):
         dvel: (N, 3) integrals of the specific force over the samples, m/s, b.
         t: (M+1,) times of the epochs, s.
         C_nb: (M+1, 3, 3) attitude at the epochs.
+        q_nb: (M+1, 4) the same as quaternions.
         velocity_b: (M+1, 3) velocity over the Earth at the epochs, m/s, b.
         velocity_n: (M+1, 3) the same in n.
+        rate_n: (M+1, 3) rotation of b against n at the epochs, rad/s, n.
         lat: (M+1,) rad.
         lon: (M+1,) rad.
         h: (M+1,) m.
         dt: sampling interval, s.
-        aid_every: IMU samples per epoch.
+        epoch_samples: IMU samples per epoch.
     """
 
     dtheta: Float[Array, "n 3"]
     dvel: Float[Array, "n 3"]
     t: Float[Array, " m"]
     C_nb: Float[Array, "m 3 3"]
+    q_nb: Float[Array, "m 4"]
     velocity_b: Float[Array, "m 3"]
     velocity_n: Float[Array, "m 3"]
+    rate_n: Float[Array, "m 3"]
     lat: Float[Array, " m"]
     lon: Float[Array, " m"]
     h: Float[Array, " m"]
     dt: Float[Array, ""]
-    aid_every: int = eqx.field(static=True)
+    epoch_samples: int = eqx.field(static=True)
 
 
 def _gauss(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,19 +112,19 @@ def _position(trajectory: Trajectory, site: Site, t: Array, dt: Any) -> tuple[tu
     return (lat, lon, h), (lat_edges, lon_edges, h_edges)
 
 
-def exact_increments(trajectory: Trajectory, site: Site, dt: Any, samples: int, aid_every: int) -> Truth:
+def exact_increments(trajectory: Trajectory, site: Site, dt: Any, samples: int, epoch_samples: int) -> Truth:
     """Increments of perfect sensors along a trajectory, and the state at the epochs.
 
     Six-point Gauss quadrature of `turn_rate` and `specific_force` inside every sample, latitude and height
     carried along (position to about 1e-13 rad). Pure, differentiable in trajectory and site, vectorised over
-    all samples: wrap it in `jit` with `samples` and `aid_every` static.
+    all samples: wrap it in `jit` with `samples` and `epoch_samples` static.
 
     Args:
         trajectory: attitude and velocity; its `breaks` must be multiples of dt.
         site: where the vehicle starts.
         dt: sampling interval, s.
         samples: number N of IMU samples.
-        aid_every: IMU samples per epoch; M = N // aid_every.
+        epoch_samples: IMU samples per epoch; M = N // epoch_samples.
 
     Returns:
         The truth, with epochs 0..M.
@@ -134,23 +138,26 @@ def exact_increments(trajectory: Trajectory, site: Site, dt: Any, samples: int, 
 
     dtheta = integral(turn_rate(trajectory, t, lat, h))
     dvel = integral(specific_force(trajectory, t, lat, h))
-    epochs = samples // aid_every
-    te = jnp.arange(epochs + 1, dtype=jnp.float64) * (aid_every * dt)
-    lat_e, lon_e, h_e = (edge[: epochs * aid_every + 1 : aid_every] for edge in edges)
+    epochs = samples // epoch_samples
+    te = jnp.arange(epochs + 1, dtype=jnp.float64) * (epoch_samples * dt)
+    lat_e, lon_e, h_e = (edge[: epochs * epoch_samples + 1 : epoch_samples] for edge in edges)
+    attitude = trajectory.attitude(te)
     return Truth(
         dtheta=dtheta,
         dvel=dvel,
         t=te,
-        C_nb=trajectory.attitude(te).matrix.array,
+        C_nb=attitude.matrix.array,
+        q_nb=attitude.array,
         velocity_b=trajectory.velocity_b(te).array,
         velocity_n=trajectory.velocity_n(te).array,
+        rate_n=attitude.rotate(trajectory.rate_nb(te)).array,
         lat=lat_e,
         lon=lon_e,
         h=h_e,
         dt=dt,
-        aid_every=aid_every,
+        epoch_samples=epoch_samples,
     )
 
 
-jitted_increments = jax.jit(exact_increments, static_argnames=("samples", "aid_every"))
+jitted_increments = jax.jit(exact_increments, static_argnames=("samples", "epoch_samples"))
 """`exact_increments`, compiled once per structure of the trajectory and number of samples."""

@@ -11,9 +11,9 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps
-from jaxalign.simulate.trajectory import BodyVelocity, CourseVelocity, Trajectory
+from jaxalign.simulate.trajectory import CourseVelocity, Trajectory, VelocityInBody
 
-__all__ = ["accelerate_and_turn", "s_turn", "static_base", "sway_underway", "swaying_base", "zigzag"]
+__all__ = ["accelerate_and_turn", "road", "s_turn", "static_base", "sway_underway", "swaying_base", "zigzag"]
 
 
 def _sines_deg(*terms: tuple[float, float, float], mean: Any = 0.0) -> Sines:
@@ -41,7 +41,7 @@ def s_turn(speed: Any = 5.0) -> Trajectory:
         pitch=_sines_deg((1.0, 50.0, 0.0), (0.5, 7.0, 0.4)),
         roll=_sines_deg((3.0, 100.0, 0.3), (0.7, 8.0, 1.0)),
         yaw=_sines_deg((45.0, 100.0, 0.0), mean=-45.0),
-        velocity=BodyVelocity(Constant(0.0), Constant(speed), Constant(0.0)),
+        velocity=VelocityInBody(Constant(0.0), Constant(speed), Constant(0.0)),
     )
 
 
@@ -61,7 +61,7 @@ def accelerate_and_turn() -> Trajectory:
         pitch=_sines_deg((1.0, 7.0, 0.0)) + dive,
         roll=_sines_deg((1.5, 9.0, 0.7)) + bank,
         yaw=turns,
-        velocity=BodyVelocity(Constant(0.0), Steps([3.0, -2.0, 1.5], [40.0, 150.0, 240.0], 6.0, 2.0), Constant(0.0)),
+        velocity=VelocityInBody(Constant(0.0), Steps([3.0, -2.0, 1.5], [40.0, 150.0, 240.0], 6.0, 2.0), Constant(0.0)),
     )
 
 
@@ -85,6 +85,26 @@ def zigzag(sway: bool = False) -> Trajectory:
         roll = _sines_deg((5.0, 9.0, 0.0), mean=3.0)
         yaw = course + _sines_deg((1.5, 11.0, 0.0))
     return Trajectory(pitch, roll, yaw, CourseVelocity(Ramps(0.5, 0.0, 20.0), course))
+
+
+def road() -> Trajectory:
+    """A car in town: it stands for 10 s, drives up to 14 m/s, turns at corners and stops twice for 20 s.
+
+    Hills of 2 deg, a body that leans by 1 deg in turns; the velocity is along the forward axis: the wheels do not slip.
+    """
+    deg = jnp.deg2rad
+    turns = Steps(deg(jnp.array([-90.0, 80.0, -120.0, 60.0])), [45.0, 85.0, 170.0, 235.0], 3.0, deg(25.0))
+    speed = Ramps(
+        jnp.array([1.4, -1.4, 1.4, -1.75, 1.5, -0.8]),
+        [10.0, 60.0, 90.0, 130.0, 160.0, 215.0],
+        [20.0, 70.0, 100.0, 138.0, 168.0, 222.5],
+    )
+    return Trajectory(
+        pitch=_sines_deg((2.0, 60.0, 0.0), (0.3, 4.0, 0.5)),
+        roll=Steps(deg(jnp.array([1.0, -1.0, -1.0, 1.0, 1.0, -1.0])), [43.0, 47.0, 83.0, 87.0, 168.0, 172.0], 2.0),
+        yaw=turns,
+        velocity=VelocityInBody(Constant(0.0), speed, Constant(0.0)),
+    )
 
 
 def swaying_base(mean_yaw_deg: Any = 0.0) -> Trajectory:
@@ -116,7 +136,7 @@ def sway_underway(speed: Any = 2.0) -> Trajectory:
         pitch=_sines_deg((10.0, 1 / wave, 0.0)),
         roll=_sines_deg((10.0, 1 / wave, jnp.pi / 2)),
         yaw=_sines_deg((5.0, 10.0, 0.0)),
-        velocity=BodyVelocity(Sines(0.3, wave, 0.5), Sines(0.2, wave, 1.2, speed), Sines(0.5, wave, jnp.pi / 2)),
+        velocity=VelocityInBody(Sines(0.3, wave, 0.5), Sines(0.2, wave, 1.2, speed), Sines(0.5, wave, jnp.pi / 2)),
     )
 
 

@@ -6,18 +6,23 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
+from jaxalign.aids import BodyVelocity, Heading, NavVelocity, NonHolonomic
+from jaxalign.arguments import check_choice, nearest
 from jaxalign.earth import STANDARD_GRAVITY, Site
 from jaxalign.errors import UserError
+from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
 from jaxalign.log import Log
 from jaxalign.precision import require_x64
 from jaxalign.simulate import motions
-from jaxalign.simulate.arguments import choice, leaf, nearest, parsed
+from jaxalign.simulate.aid import SimulatedAid
+from jaxalign.simulate.arguments import leaf, parsed
 from jaxalign.simulate.faults import AbstractFault, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
 from jaxalign.simulate.imu import Truth
 from jaxalign.simulate.measurement import Scenario, log_of, truth
-from jaxalign.simulate.sensors import BiasKind, SineForce, accel_errors, gyro_errors
+from jaxalign.simulate.sensors import BiasKind, SineForce
 from jaxalign.simulate.trajectory import Trajectory
 
 __all__ = ["scenario", "scenario_options", "scenarios", "simulate"]
@@ -38,8 +43,8 @@ def _gaps(gaps: Any) -> tuple[AbstractFault, ...]:
 
 
 def _dvl_faults(outliers: str, factor: float, single_axis: bool, first: Any, gaps: Gaps) -> tuple[AbstractFault, ...]:
-    choice(outliers, "outliers", ("none", "fixed", "segment"))
-    choice(single_axis, "single_axis", (False, True))
+    check_choice("outliers", outliers, ("none", "fixed", "segment"))
+    check_choice("single_axis", single_axis, (False, True))
     found: dict[str, tuple[AbstractFault, ...]] = {
         "none": (),
         "fixed": (FixedOutliers(0.02, factor, single_axis, first),),
@@ -53,14 +58,12 @@ def _dvl_xu2020(trajectory: Trajectory, name: str, bias: BiasKind, duration: flo
     return Scenario(
         trajectory,
         _site_deg(32.057313, 118.786365),
-        gyro=gyro_errors(0.02, walk_deg_sqrt_h=0.005, kind=bias),
-        accel=accel_errors(50.0, density_ug_sqrt_hz=50.0, kind=bias),
-        aid_sd=0.1,  # pyright: ignore[reportArgumentType]
-        faults=faults,
-        aid="body",
+        imu=ImuErrors(GyroErrors(0.02, walk_deg_sqrt_h=0.005), AccelErrors(50.0, density_ug_sqrt_hz=50.0)),
+        bias=bias,
+        aids=(SimulatedAid(BodyVelocity(), 0.1, faults),),
         duration=duration,
         imu_rate=200.0,
-        aid_every=200,
+        epoch_samples=200,
         name=name,
     )
 
@@ -114,14 +117,12 @@ def _dvl_accturn(
     return Scenario(
         motions.accelerate_and_turn(),
         _site_deg(32.057313, 118.786365),
-        gyro=gyro_errors(0.01, walk_deg_sqrt_h=0.001, kind=bias),
-        accel=accel_errors(100.0, density_ug_sqrt_hz=10.0, kind=bias),
-        aid_sd=0.05,  # pyright: ignore[reportArgumentType]
-        faults=_dvl_faults(outliers, 200.0, single_axis, first, gaps),
-        aid="body",
+        imu=ImuErrors(GyroErrors(0.01, walk_deg_sqrt_h=0.001), AccelErrors(100.0, density_ug_sqrt_hz=10.0)),
+        bias=bias,
+        aids=(SimulatedAid(BodyVelocity(), 0.05, _dvl_faults(outliers, 200.0, single_axis, first, gaps)),),
         duration=duration,
         imu_rate=100.0,
-        aid_every=20,
+        epoch_samples=20,
         name="dvl-accturn",
     )
 
@@ -139,21 +140,46 @@ def _gps_zigzag(
     Huang et al., Tables II and III: 0.01 deg/sqrt(h), 100 ug/sqrt(Hz). `sway` lets the attitude swing about
     the course. Outliers "jump" (not in the paper): 2 % of the fixes off by 20-50 m/s in a random direction.
     """
-    choice(outliers, "outliers", ("none", "jump"))
-    choice(sway, "sway", (False, True))
+    check_choice("outliers", outliers, ("none", "jump"))
+    check_choice("sway", sway, (False, True))
     jumps = (JumpOutliers(first=first),) if outliers == "jump" else ()  # pyright: ignore[reportArgumentType]
     return Scenario(
         motions.zigzag(sway),
         _site_deg(32.0, 118.0),
-        gyro=gyro_errors(0.01, walk_deg_sqrt_h=0.01, kind=bias),
-        accel=accel_errors(10.0, density_ug_sqrt_hz=100.0, kind=bias),
-        aid_sd=1.0,  # pyright: ignore[reportArgumentType]
-        faults=jumps + _gaps(gaps),
-        aid="nav",
+        imu=ImuErrors(GyroErrors(0.01, walk_deg_sqrt_h=0.01), AccelErrors(10.0, density_ug_sqrt_hz=100.0)),
+        bias=bias,
+        aids=(SimulatedAid(NavVelocity(), 1.0, jumps + _gaps(gaps)),),
         duration=duration,
         imu_rate=100.0,
-        aid_every=100,
+        epoch_samples=100,
         name="gps-zigzag",
+    )
+
+
+def _car(
+    heading_sd_deg: float = 0.0, gaps: Gaps = (), bias: BiasKind = "gaussian", duration: float = 300.0
+) -> Scenario:
+    """Odometer (10 Hz, 0.05 m/s), wheels that do not slip, a car in town, IMU 100 Hz of 0.01 deg/h and 50 ug.
+
+    Not from a paper: slip of 0.05 m/s, 0.002 deg/sqrt(h), 20 ug/sqrt(Hz). No GNSS. `heading_sd_deg` above zero adds a
+    heading at 1 Hz with that noise and an offset that each run draws with 3 deg.
+    """
+    forward = BodyVelocity(components=("forward",), name="odometer")
+    aids = [SimulatedAid(forward, 0.05, _gaps(gaps)), SimulatedAid(NonHolonomic(), 0.05)]
+    noise = leaf(heading_sd_deg, "heading_sd_deg", low=0.0)
+    if float(noise) > 0:
+        offset = {"offset": np.deg2rad(3.0)}
+        aids.append(SimulatedAid(Heading(), jnp.deg2rad(noise), unknown_sd=offset, stride=10))
+    return Scenario(
+        motions.road(),
+        _site_deg(48.1, 11.6, 500.0),
+        imu=ImuErrors(GyroErrors(0.01, walk_deg_sqrt_h=0.002), AccelErrors(50.0, density_ug_sqrt_hz=20.0)),
+        bias=bias,
+        aids=tuple(aids),
+        duration=duration,
+        imu_rate=100.0,
+        epoch_samples=10,
+        name="car",
     )
 
 
@@ -167,12 +193,11 @@ def _sway(mean_yaw_deg: float = 0.0, bias: BiasKind = "fixed", duration: float =
     return Scenario(
         motions.swaying_base(leaf(mean_yaw_deg, "mean_yaw_deg")),
         _site_deg(32.0573, 118.7864),
-        gyro=gyro_errors(0.05, noise_deg_h=0.05, kind=bias),
-        accel=accel_errors(500.0, noise_ug=500.0, kind=bias),
-        aid="static",
+        imu=ImuErrors(GyroErrors(0.05, noise_deg_h=0.05), AccelErrors(500.0, noise_ug=500.0)),
+        bias=bias,
         duration=duration,
         imu_rate=100.0,
-        aid_every=10,
+        epoch_samples=10,
         name="sway",
     )
 
@@ -200,17 +225,17 @@ def _disturbed(
     is given. `noise_per`: the numbers of Table 2 per "sample" (as printed) or as a "density" (per sqrt(Hz),
     as in Tables 3 and 4). Attitude (pitch 1, roll -0.5, yaw 30 deg) and height (400 m) are not stated there.
     """
-    choice(condition, "condition", _CONDITIONS)
-    choice(noise_per, "noise_per", ("sample", "density"))
+    check_choice("condition", condition, _CONDITIONS)
+    check_choice("noise_per", noise_per, ("sample", "density"))
     gyro_bias, gyro_noise, accel_bias, accel_noise, shaken = _CONDITIONS[condition]
     if amplitude_mg is not None and not shaken:
         raise UserError(f"amplitude_mg: condition {condition} is undisturbed; use condition 2 or 4")
     if noise_per == "sample":
-        gyro = gyro_errors(gyro_bias, noise_deg_h=gyro_noise, kind=bias)
-        accel = accel_errors(accel_bias, noise_ug=accel_noise, kind=bias)
+        gyro = GyroErrors(gyro_bias, noise_deg_h=gyro_noise)
+        accel = AccelErrors(accel_bias, noise_ug=accel_noise)
     else:
-        gyro = gyro_errors(gyro_bias, walk_deg_sqrt_h=gyro_noise / 60.0, kind=bias)
-        accel = accel_errors(accel_bias, density_ug_sqrt_hz=accel_noise, kind=bias)
+        gyro = GyroErrors(gyro_bias, walk_deg_sqrt_h=gyro_noise / 60.0)
+        accel = AccelErrors(accel_bias, density_ug_sqrt_hz=accel_noise)
     force = None
     if shaken:
         literal = SineForce(accel_bias * STANDARD_GRAVITY * 1e-6)
@@ -218,13 +243,12 @@ def _disturbed(
     return Scenario(
         motions.static_base(1.0, -0.5, 30.0),
         _site_deg(37.6, 108.6, 400.0),
-        gyro=gyro,
-        accel=accel,
+        imu=ImuErrors(gyro, accel),
+        bias=bias,
         force=force,
-        aid="static",
         duration=duration,
         imu_rate=200.0,
-        aid_every=20,
+        epoch_samples=20,
         name=f"disturbed-{condition}",
     )
 
@@ -234,6 +258,7 @@ _SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "dvl-accturn": _dvl_accturn,
     "dvl-sway": _dvl_sway,
     "gps-zigzag": _gps_zigzag,
+    "car": _car,
     "sway": _sway,
     "disturbed": _disturbed,
 }
@@ -265,10 +290,11 @@ def scenario(name: str, /, **options: Any) -> Scenario:
     - ``dvl-sturn``, ``dvl-accturn``, ``dvl-sway``: `outliers` "none" | "fixed" | "segment"; `single_axis`
       outliers; whether epoch 0 may be one (`first` "never" | "random" | "always"); `gaps`, pairs of times (s)
       without aid.
+    - ``car``: `heading_sd_deg`; `gaps` of the odometer.
     - ``gps-zigzag``: `sway` of the attitude; `outliers` "none" | "jump"; `first`; `gaps`.
     - ``sway``: `mean_yaw_deg`.
     - ``disturbed``: `condition` 1-4; `amplitude_mg`; `noise_per` "sample" | "density".
-    - all: `bias` "sign" | "gaussian" | "fixed" (see `TriadErrors`); `duration` (s).
+    - all: `bias` "sign" | "gaussian" | "fixed" (see `draw_bias`); `duration` (s).
 
     Args:
         name: one of `scenarios()`.

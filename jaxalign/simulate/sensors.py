@@ -1,7 +1,6 @@
-"""Errors of the inertial sensors: constant biases, white noise, and the sine disturbance of a shaken base.
+"""Errors of the inertial sensors in a run, drawn from what is stated of the unit; and the sines of a shaken base.
 
-Pure functions of a key, to be vmapped over keys. Parameters are array leaves in SI units; the functions
-`gyro_errors` and `accel_errors` take the units of the papers.
+Pure functions of a key, to be vmapped over keys. What is stated: :mod:`jaxalign.inertial_unit`.
 """
 
 from __future__ import annotations
@@ -14,15 +13,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxalign.earth import STANDARD_GRAVITY
-from jaxalign.errors import UserError
-from jaxalign.simulate.arguments import choice, leaf
-from jaxalign.simulate.random import normals
-from jaxalign.units import DEG_H, DEG_SQRT_H, UG
+from jaxalign.inertial_unit import AbstractTriadErrors
+from jaxalign.simulate.arguments import leaf
+from jaxalign.simulate.random import fold, normals
 
-__all__ = ["BiasKind", "SineForce", "TriadErrors", "accel_errors", "gyro_errors", "white"]
+__all__ = ["BIAS_KINDS", "WANDER", "BiasKind", "SineForce", "draw_bias", "triad_increments", "white"]
 
 BiasKind = Literal["sign", "gaussian", "fixed"]
-_KINDS = ("sign", "gaussian", "fixed")
+BIAS_KINDS = ("sign", "gaussian", "fixed")
+WANDER = 2
+"""What the key of a triad is folded with to draw the wander of its bias; 0 and 1 are its bias and its noise."""
 
 
 def white(key: PRNGKeyArray, count: int) -> Float[Array, "count 3 *runs"]:
@@ -34,99 +34,36 @@ def white(key: PRNGKeyArray, count: int) -> Float[Array, "count 3 *runs"]:
     return normals(key, 3 * count).astype(jnp.float64).reshape(count, 3, *key.shape)
 
 
-def _one(value: Array, what: str) -> Array:
-    if value.ndim:
-        raise UserError(f"{what}: one number for the three axes is expected, got {value.shape[0]}")
-    return value
-
-
-class TriadErrors(eqx.Module):
-    """Errors of three gyroscopes or three accelerometers.
-
-    Attributes:
-        bias: (3,) size of the constant bias per axis, rad/s or m/s^2.
-        density: white noise of the rate as a density: rad/sqrt(s) (angle random walk) or m/s/sqrt(s).
-        sample_sd: white noise of the rate as a standard deviation per sample, rad/s or m/s^2.
-        kind: how a run draws its bias: "sign" (the size with a random sign on each axis), "gaussian" (the
-            size is the standard deviation), "fixed" (the size itself).
-    """
-
-    bias: Float[Array, " 3"]
-    density: Float[Array, ""]
-    sample_sd: Float[Array, ""]
-    kind: BiasKind = eqx.field(static=True)
-
-    def __init__(self, bias: Any = 0.0, density: Any = 0.0, sample_sd: Any = 0.0, kind: BiasKind = "sign"):
-        self.bias = jnp.broadcast_to(leaf(bias, "bias"), (3,))
-        self.density = _one(leaf(density, "noise density", low=0.0), "noise density")
-        self.sample_sd = _one(leaf(sample_sd, "noise per sample", low=0.0), "noise per sample")
-        self.kind = choice(kind, "kind of bias", _KINDS)
-
-    def draw_bias(self, key: PRNGKeyArray) -> Float[Array, " 3"]:
-        """The constant bias of one run (rad/s or m/s^2)."""
-        if self.kind == "sign":
-            return self.bias * jax.random.rademacher(key, (3,), jnp.float64)
-        if self.kind == "gaussian":
-            return self.bias * jax.random.normal(key, (3,), jnp.float64)
-        return self.bias
-
-    def increment_sd(self, dt: Any) -> Float[Array, ""]:
-        """Standard deviation of the noise of one increment over dt (s): rad or m/s."""
-        variance = self.density**2 * dt + (self.sample_sd * dt) ** 2
-        positive = variance > 0
-        return jnp.where(positive, jnp.sqrt(jnp.where(positive, variance, 1.0)), 0.0)
-
-    def increments(self, key: PRNGKeyArray, samples: int, dt: Any) -> Float[Array, "samples 3"]:
-        """Errors of the increments of one run (rad or m/s): bias and white noise.
-
-        `draw_bias` with the first half of ``jax.random.split(key)`` gives the bias alone.
-        """
-        key_bias, key_noise = jax.random.split(key)
-        return self.draw_bias(key_bias) * dt + white(key_noise, samples) * self.increment_sd(dt)
-
-
-def gyro_errors(
-    bias_deg_h: Any = 0.0, walk_deg_sqrt_h: Any = 0.0, noise_deg_h: Any = 0.0, kind: BiasKind = "sign"
-) -> TriadErrors:
-    """Errors of gyroscopes, in the units of data sheets.
+def draw_bias(errors: AbstractTriadErrors, kind: BiasKind, key: PRNGKeyArray) -> Float[Array, " 3"]:
+    """The bias of a triad at the start of a run, rad/s or m/s^2.
 
     Args:
-        bias_deg_h: constant bias, deg/h, one number or three.
-        walk_deg_sqrt_h: angle random walk, deg/sqrt(h) (a density of 1 deg/h/sqrt(Hz) is 1/60 deg/sqrt(h)).
-        noise_deg_h: standard deviation of each rate sample, deg/h.
-        kind: how a run draws its bias, see `TriadErrors`.
-
-    Raises:
-        UserError: for a negative noise or an unknown kind.
+        errors: of the triad; the size of the bias is one number or three.
+        kind: "sign" (the size with a random sign on each axis), "gaussian" (the size is the standard deviation),
+            "fixed" (the size itself, with its sign).
+        key: of the draw.
     """
-    return TriadErrors(
-        leaf(bias_deg_h, "bias_deg_h") * DEG_H,
-        leaf(walk_deg_sqrt_h, "walk_deg_sqrt_h", low=0.0) * DEG_SQRT_H,
-        leaf(noise_deg_h, "noise_deg_h", low=0.0) * DEG_H,
-        kind,
-    )
+    if kind == "sign":
+        return errors.bias * jax.random.rademacher(key, (3,), jnp.float64)
+    if kind == "gaussian":
+        return errors.bias * jax.random.normal(key, (3,), jnp.float64)
+    return jnp.broadcast_to(errors.bias, (3,))
 
 
-def accel_errors(
-    bias_ug: Any = 0.0, density_ug_sqrt_hz: Any = 0.0, noise_ug: Any = 0.0, kind: BiasKind = "sign"
-) -> TriadErrors:
-    """Errors of accelerometers, in the units of data sheets (1 ug = 9.80665e-6 m/s^2).
+def triad_increments(
+    errors: AbstractTriadErrors, kind: BiasKind, key: PRNGKeyArray, samples: int, dt: Any
+) -> Float[Array, "samples 3"]:
+    """Errors of the increments of one run (rad or m/s): bias, white noise, and the wander of the bias.
 
-    Args:
-        bias_ug: constant bias, ug, one number or three.
-        density_ug_sqrt_hz: noise density, ug/sqrt(Hz).
-        noise_ug: standard deviation of each sample, ug.
-        kind: how a run draws its bias, see `TriadErrors`.
-
-    Raises:
-        UserError: for a negative noise or an unknown kind.
+    `draw_bias` with the first half of ``jax.random.split(key)`` gives the bias at the start alone. It takes a step
+    after each sample: a random walk.
     """
-    return TriadErrors(
-        leaf(bias_ug, "bias_ug") * UG,
-        leaf(density_ug_sqrt_hz, "density_ug_sqrt_hz", low=0.0) * UG,
-        leaf(noise_ug, "noise_ug", low=0.0) * UG,
-        kind,
-    )
+    key_bias, key_noise = jax.random.split(key)
+    out = draw_bias(errors, kind, key_bias) * dt + white(key_noise, samples) * errors.increment_sd(dt)
+    if errors.bias_walk is None:
+        return out
+    steps = white(fold(key, WANDER), samples) * (errors.bias_walk * jnp.sqrt(dt) * dt)
+    return out + jnp.cumsum(steps, axis=0) - steps
 
 
 class SineForce(eqx.Module):

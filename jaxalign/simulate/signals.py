@@ -37,7 +37,7 @@ class AbstractSignal(eqx.Module):
 
 
 class Constant(AbstractSignal):
-    """The same value for ever."""
+    """A constant."""
 
     value: Float[Array, ""]
 

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxalign.aids import Axes
 from jaxalign.simulate.signals import AbstractSignal, Constant
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["AbstractVelocity", "BodyVelocity", "CourseVelocity", "NavVelocity", "Trajectory"]
+__all__ = ["AbstractVelocity", "CourseVelocity", "Trajectory", "VelocityInBody", "VelocityInNav"]
 
 
 class AbstractVelocity(eqx.Module):
-    """Velocity over the Earth as a function of time, in b or in n (`frame`)."""
+    """Velocity over the Earth as a function of time, in b or in n (`axes`)."""
 
-    frame: ClassVar[Literal["body", "nav"]]
+    axes: ClassVar[Axes]
 
     @abstractmethod
     def __call__(self, t: Any) -> Vec3:
-        """Velocity (m/s) at the times t (s), in `frame`."""
+        """Velocity (m/s) at the times t (s), in `axes`."""
 
     @property
     def signals(self) -> tuple[AbstractSignal, ...]:
@@ -34,10 +35,10 @@ class AbstractVelocity(eqx.Module):
         )
 
 
-class BodyVelocity(AbstractVelocity):
+class VelocityInBody(AbstractVelocity):
     """Velocity given in b (m/s): the natural way for a vehicle that a DVL or an odometer aids."""
 
-    frame = "body"
+    axes = Axes.BODY
     right: AbstractSignal
     forward: AbstractSignal
     up: AbstractSignal
@@ -47,10 +48,10 @@ class BodyVelocity(AbstractVelocity):
         return Vec3(self.right(t), self.forward(t), self.up(t))
 
 
-class NavVelocity(AbstractVelocity):
+class VelocityInNav(AbstractVelocity):
     """Velocity given in n (m/s)."""
 
-    frame = "nav"
+    axes = Axes.NAV
     east: AbstractSignal
     north: AbstractSignal
     up: AbstractSignal
@@ -63,7 +64,7 @@ class NavVelocity(AbstractVelocity):
 class CourseVelocity(AbstractVelocity):
     """Level velocity in n of a speed (m/s) along a course (rad, from north, counter-clockwise like yaw)."""
 
-    frame = "nav"
+    axes = Axes.NAV
     speed: AbstractSignal
     course: AbstractSignal
 
@@ -89,7 +90,7 @@ class Trajectory(eqx.Module):
     roll: AbstractSignal
     yaw: AbstractSignal
     velocity: AbstractVelocity = eqx.field(
-        default_factory=lambda: NavVelocity(Constant(0.0), Constant(0.0), Constant(0.0))
+        default_factory=lambda: VelocityInNav(Constant(0.0), Constant(0.0), Constant(0.0))
     )
 
     @property
@@ -115,12 +116,12 @@ class Trajectory(eqx.Module):
     def velocity_n(self, t: Any) -> Vec3:
         """Velocity over the Earth in n (m/s) at the times t (s)."""
         v = self.velocity(t)
-        return v if self.velocity.frame == "nav" else self.attitude(t).rotate(v)
+        return v if self.velocity.axes is Axes.NAV else self.attitude(t).rotate(v)
 
     def velocity_b(self, t: Any) -> Vec3:
         """Velocity over the Earth in b (m/s) at the times t (s)."""
         v = self.velocity(t)
-        return v if self.velocity.frame == "body" else self.attitude(t).conjugate().rotate(v)
+        return v if self.velocity.axes is Axes.BODY else self.attitude(t).conjugate().rotate(v)
 
     def rate_nb(self, t: Any) -> Vec3:
         """Rotation w_nb of b against n (rad/s, in b) at the times t (s), from the Euler rates."""

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from jaxalign.study.engine import Interrupted, run
     from jaxalign.study.result import Result
     from jaxalign.study.settings import Study
-    from jaxalign.study.statistics import AXES, PERCENTILES, Estimate, MethodStatistics
+    from jaxalign.study.statistics import AXES, PERCENTILES, MethodStatistics
 
-__all__ = ["AXES", "PERCENTILES", "Estimate", "Interrupted", "MethodStatistics", "Result", "Study", "run"]
+__all__ = ["AXES", "PERCENTILES", "Interrupted", "MethodStatistics", "Result", "Study", "run"]
 
 _HOMES = {
     "engine": "Interrupted run",
     "result": "Result",
     "settings": "Study",
-    "statistics": "AXES PERCENTILES Estimate MethodStatistics",
+    "statistics": "AXES PERCENTILES MethodStatistics",
 }
 __getattr__, __dir__ = lazily(__name__, _HOMES)

@@ -17,7 +17,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 
 from jaxalign.errors import UserError
-from jaxalign.io.files import first_line
+from jaxalign.files import first_line
 
 __all__ = ["agreed", "everyone", "is_first", "join", "placed", "use_all_cores"]
 

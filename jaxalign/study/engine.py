@@ -18,13 +18,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxalign.arguments import whole_number
 from jaxalign.errors import UserError
 from jaxalign.study import devices
+from jaxalign.study.block_sums import BlockSums
 from jaxalign.study.result import Result
 from jaxalign.study.settings import Study
 from jaxalign.study.statistics import statistics_of
 from jaxalign.study.store import Store
-from jaxalign.study.tally import Tally
 from jaxalign.study.worker import Job, Worker, jobs_of
 
 __all__ = ["Interrupted", "run"]
@@ -51,19 +52,19 @@ def _pool(count: int) -> ThreadPoolExecutor:
 
 
 class _Collected:
-    """The tallies of all finished blocks, by method."""
+    """The sums of all finished blocks, by method."""
 
     def __init__(self, labels: list[str]):
-        self.blocks: dict[str, dict[int, Tally]] = {label: {} for label in labels}
+        self.blocks: dict[str, dict[int, BlockSums]] = {label: {} for label in labels}
         self.bins: dict[str, Any] = dict.fromkeys(labels, 0)
 
-    def add(self, first: int, chunk: dict[str, Tally]) -> None:
-        for label, tallied in chunk.items():
-            self.bins[label] = self.bins[label] + np.asarray(tallied.bins, np.int64)
-            count = len(tallied.known)
+    def add(self, first: int, chunk: dict[str, BlockSums]) -> None:
+        for label, sums in chunk.items():
+            self.bins[label] = self.bins[label] + np.asarray(sums.bins, np.int64)
+            count = len(sums.known)
             for i in range(count):
-                fields = {f: getattr(tallied, f)[i] for f in Tally.__dataclass_fields__ if f != "bins"}
-                self.blocks[label][first + i] = Tally(**fields, bins=None)  # pyright: ignore[reportArgumentType]
+                fields = {f: getattr(sums, f)[i] for f in BlockSums.__dataclass_fields__ if f != "bins"}
+                self.blocks[label][first + i] = BlockSums(**fields, bins=None)  # pyright: ignore[reportArgumentType]
 
     def runs(self, study: Study) -> int:
         """How many are done."""
@@ -81,8 +82,8 @@ class _Collected:
         return Result(study, out)
 
 
-def _stacked(parts: list[dict[str, Tally]], blocks: int, most: int) -> dict[str, Tally]:
-    """The tallies of a chunk in the order of its blocks, its bins summed.
+def _stacked(parts: list[dict[str, BlockSums]], blocks: int, most: int) -> dict[str, BlockSums]:
+    """The sums of a chunk in the order of its blocks, its bins summed.
 
     Args:
         parts: those of the blocks of this process: every `process_count`-th one, at least one (if it has none, of any).
@@ -143,8 +144,8 @@ def run(
             write that failed: the chunks on disk are kept.
         Interrupted: Ctrl-C, after the finished blocks have been written.
     """
-    if chunk is not None and (isinstance(chunk, bool) or chunk != int(chunk) or chunk < 1):
-        raise UserError(f"chunk = {chunk!r}: must be a whole number of runs, at least 1")
+    if chunk is not None:
+        chunk = whole_number("chunk", chunk, of="runs", floats=True)
     speaks = devices.is_first()
     bar = _bar(progress and speaks, study.runs)
     try:
@@ -200,7 +201,7 @@ def _run(
     bar.update(min(int(done.sum()) * study.block, study.runs))
     pool, begun = _pool(len(here)), list[Future[Any]]()
 
-    def begin(first: int, blocks: int) -> list[Future[dict[str, Tally]]]:
+    def begin(first: int, blocks: int) -> list[Future[dict[str, BlockSums]]]:
         own = range(first + jax.process_index(), first + blocks, jax.process_count()) or range(first, first + 1)
         futures = [pool.submit(workers[i % len(workers)], block) for i, block in enumerate(own)]
         begun[:] = [future for future in begun if not future.done()] + futures
@@ -209,7 +210,7 @@ def _run(
     waiting = [begin(*plan[0])] if plan else []
     try:
         for i, (first, blocks) in enumerate(plan):
-            parts: list[dict[str, Tally]] = []
+            parts: list[dict[str, BlockSums]] = []
             interrupted = False
             try:
                 for future in waiting.pop(0):
@@ -282,7 +283,7 @@ def _chunks(done: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
 
 
 def _write(
-    store: Store | None, study: Study, first: int, blocks: int, part: dict[str, Tally], collected: _Collected
+    store: Store | None, study: Study, first: int, blocks: int, part: dict[str, BlockSums], collected: _Collected
 ) -> None:
     """A finished chunk to disk, in process 0; a failure ends all processes."""
     failure: UserError | None = None

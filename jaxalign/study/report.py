@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxalign import plots
-from jaxalign.io.files import replacing
+from jaxalign.files import replacing
 from jaxalign.study.result import Result
-from jaxalign.study.statistics import AXES, PERCENTILES, Estimate
+from jaxalign.study.statistics import AXES, PERCENTILES
+from jaxalign.tables import Estimate
+from jaxalign.tables import markdown as markdown_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,15 +26,10 @@ __all__ = ["csv", "markdown", "picture", "rows", "shown", "write"]
 
 
 def shown(value: float, error: float = np.nan, unit: str = "") -> str:
-    """A number with its standard error, to two digits of it."""
+    """A number with its standard error; a word where there is none."""
     if not np.isfinite(value):
         return "never" if np.isposinf(value) and unit == " s" else "-"
-    if np.isposinf(error):
-        return f"{value:.3g} ± inf{unit}"
-    if not (np.isfinite(error) and error > 0):
-        return f"{value:.3g}{unit}"
-    digits = max(0, 1 - int(np.floor(np.log10(error))))
-    return f"{value:.{digits}f} ± {error:.{digits}f}{unit}"
+    return f"{Estimate(value, error)}{unit}"
 
 
 def rows(result: Result) -> tuple[list[str], list[list[str]]]:
@@ -72,9 +69,10 @@ def rows(result: Result) -> tuple[list[str], list[list[str]]]:
 def markdown(result: Result) -> str:
     """The table with its settings, for people."""
     head, cells = rows(result)
-    lines = [f"# {result.title}", "", " | ".join(["", *head, ""]).strip(), "|".join(["", *["---"] * len(head), ""])]
-    lines += [" | ".join(["", *row, ""]).strip() for row in cells]
-    lines += [
+    lines = [
+        f"# {result.title}",
+        "",
+        markdown_table(head, cells),
         "",
         "Errors are estimate minus truth; ± is the Monte Carlo standard error (missing: too few runs to tell). All "
         "methods see the same runs; the ratio's error is that of the paired runs. Failed: runs without an attitude "

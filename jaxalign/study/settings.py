@@ -14,15 +14,18 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxalign.aids import AbstractAid, plain
+from jaxalign.arguments import check_choice, whole_number
 from jaxalign.errors import UserError
 from jaxalign.method import AbstractMethod
 from jaxalign.methods import build_for
+from jaxalign.normalised import Normalised
 from jaxalign.precision import require_x64
 from jaxalign.simulate import Scenario, scenario
 from jaxalign.simulate.random import DRAW
-from jaxalign.study.feed import FIDELITIES, Fidelity
+from jaxalign.study.epochs_spec import FIDELITIES, Fidelity
 
-__all__ = ["Study", "described", "whole"]
+__all__ = ["Study", "described"]
 
 _LAST_S = 50.0
 _version = cache(metadata.version)
@@ -48,44 +51,33 @@ class Study:
         UserError: float32, or a value that makes no study.
     """
 
-    scenario: Scenario
-    methods: Mapping[str, Any]
+    scenario: Normalised[str | Scenario, Scenario] = Normalised()
+    methods: Normalised[Sequence[str] | Mapping[str, Any], Mapping[str, Any]] = Normalised()
     runs: int = 1000
     seed: int = 0
-    every: int = 10
+    every: Normalised[int | None, int] = Normalised(None)
     fidelity: Fidelity = "increments"
     tolerance_deg: float = 1.0
-    window: tuple[float, float] = (0.0, 0.0)
+    window: Normalised[tuple[float, float] | None, tuple[float, float]] = Normalised(None)
 
-    def __init__(
-        self,
-        scenario: str | Scenario,
-        methods: Sequence[str] | Mapping[str, Any],
-        runs: int = 1000,
-        seed: int = 0,
-        every: int | None = None,
-        fidelity: Fidelity = "increments",
-        tolerance_deg: float = 1.0,
-        window: tuple[float, float] | None = None,
-    ):
+    def __post_init__(self):
         require_x64()
-        made = _scenario(scenario)
-        end = made.epochs * made.aid_every / made.imu_rate
+        made = _scenario(self.scenario)
+        end = made.epochs * made.epoch_samples / made.imu_rate
+        every, window = self.every, self.window
         put = {
             "scenario": made,
-            "methods": _methods(methods, made),
-            "runs": whole("runs", runs, 2, 10**9),
-            "seed": whole("seed", seed, 0, 2**63 - 1),
-            "every": min(10, made.epochs) if every is None else whole("every", every, 1, made.epochs),
-            "fidelity": fidelity,
-            "tolerance_deg": _positive("tolerance_deg", tolerance_deg),
+            "methods": _methods(self.methods, made),
+            "runs": whole_number("runs", self.runs, 2, 10**9),
+            "seed": whole_number("seed", self.seed, 0, 2**63 - 1),
+            "every": min(10, made.epochs) if every is None else whole_number("every", every, 1, made.epochs),
+            "tolerance_deg": _positive("tolerance_deg", self.tolerance_deg),
             "window": (end - min(_LAST_S, end / 2), end) if window is None else window,
         }
         for name, value in put.items():
             object.__setattr__(self, name, value)
-        if fidelity not in FIDELITIES:
-            raise UserError(f"fidelity = {fidelity!r}: must be one of {', '.join(FIDELITIES)}")
-        _check_window(put["window"], end, self.every * made.aid_every / made.imu_rate)
+        check_choice("fidelity", self.fidelity, FIDELITIES)
+        _check_window(self.window, end, self.every * made.epoch_samples / made.imu_rate)
 
     @property
     def block(self) -> int:
@@ -126,6 +118,8 @@ def described(value: Any) -> Any:
     if isinstance(value, eqx.Module):
         fields = {f.name: described(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return {"kind": type(value).__qualname__, **fields}
+    if isinstance(value, AbstractAid):
+        return plain(value)
     if isinstance(value, Mapping):
         return {str(key): described(x) for key, x in value.items()}
     if isinstance(value, tuple | list):
@@ -152,7 +146,7 @@ def _methods(given: Any, made: Scenario) -> dict[str, Any]:
         names = list(given)
         if twice := [name for name in names if names.count(name) > 1]:
             raise UserError(f"methods: {twice[0]} is named twice; give a mapping of labels to methods")
-        given = {name: build_for(made.aid, name) for name in names}
+        given = {name: build_for(tuple(one.aid for one in made.aids), name) for name in names}
     if not given:
         raise UserError("methods: name at least one")
     for label, method in given.items():
@@ -160,13 +154,6 @@ def _methods(given: Any, made: Scenario) -> dict[str, Any]:
             raise UserError(f"methods: {label} = {method!r} is no method: build one with jaxalign.methods.build")
         require_x64(method)
     return dict(given)
-
-
-def whole(name: str, value: Any, low: int, high: int) -> int:
-    """The value, if it is a whole number within these bounds; else a UserError."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
-        raise UserError(f"{name} = {value!r}: must be a whole number from {low} to {high}")
-    return int(value)
 
 
 def _positive(name: str, value: Any) -> float:

@@ -6,20 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxalign.study.tally import Tally, bin_edges
+from jaxalign.study.block_sums import BlockSums, bin_edges
+from jaxalign.tables import Estimate
 
-__all__ = ["AXES", "PERCENTILES", "Estimate", "MethodStatistics", "statistics_of"]
+__all__ = ["AXES", "PERCENTILES", "MethodStatistics", "statistics_of"]
 
 AXES = ("pitch", "roll", "yaw")
 PERCENTILES = (50.0, 95.0, 99.0)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number and its standard error; arrays of one shape."""
-
-    value: np.ndarray
-    error: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -97,7 +90,7 @@ class MethodStatistics:
         return Estimate(ratio, ratio * spread / 2)
 
 
-def statistics_of(time_s: np.ndarray, runs: int, blocks: Tally) -> MethodStatistics:
+def statistics_of(time_s: np.ndarray, runs: int, blocks: BlockSums) -> MethodStatistics:
     """Statistics of all blocks (first axis of the leaves; `bins` already summed) of a method."""
     total, square, fourth = (np.add.reduce(x, axis=0) for x in (blocks.total, blocks.square, blocks.fourth))
     known, failed, within = (np.add.reduce(x, axis=0) for x in (blocks.known, blocks.failed, blocks.within))

@@ -21,15 +21,15 @@ from typing import IO, Any
 import numpy as np
 
 from jaxalign.errors import UserError
-from jaxalign.io.files import first_line, replacing
-from jaxalign.study.tally import Tally
+from jaxalign.files import first_line, replacing
+from jaxalign.study.block_sums import BlockSums
 
 __all__ = ["Store"]
 
 _NAME = re.compile(r"(\d{9})-(\d{9})\.npz")
-_FIELDS = tuple(Tally.__dataclass_fields__)
+_FIELDS = tuple(BlockSums.__dataclass_fields__)
 
-Chunk = dict[str, Tally]
+Chunk = dict[str, BlockSums]
 """Label -> the blocks of a chunk (first axis of each leaf)."""
 
 
@@ -132,7 +132,7 @@ def _read(path: Path) -> tuple[str, tuple[int, int], Chunk]:
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         first, last = (int(x) for x in file["runs"])
         tallies = {
-            str(label): Tally(**{field: file[f"{i}.{field}"] for field in _FIELDS})
+            str(label): BlockSums(**{field: file[f"{i}.{field}"] for field in _FIELDS})
             for i, label in enumerate(file["labels"])
         }
         return str(file["study"]), (first, last), tallies

@@ -11,24 +11,23 @@ import numpy as np
 
 from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
-from jaxalign.prefilter.base import without_prefilter
 from jaxalign.simulate import Scenario, Truth, truth
 from jaxalign.study import devices
+from jaxalign.study.block_sums import BlockSums, sum_block
+from jaxalign.study.epochs_spec import RunModel, epochs_spec, run_keys, run_model
 from jaxalign.study.errors import Rows, common_rows, errors_of
-from jaxalign.study.feed import World, feed_of, run_keys, world_of
 from jaxalign.study.settings import Study
-from jaxalign.study.tally import Tally, tally
 
 __all__ = ["Job", "Worker", "jobs_of"]
 
 
 class Job(NamedTuple):
-    """One method, ready to run; `judge` are the arguments of `tally` after `counted`."""
+    """One method, ready to run; `judge` are the arguments of `sum_block` after `counted`."""
 
     label: str
     method: Any
-    world: World
-    feed: str
+    model: RunModel
+    spec: str
     where: Rows
     judge: tuple[np.ndarray, np.ndarray, np.float64]
 
@@ -37,20 +36,20 @@ _WIDE = {"xla_cpu_prefer_vector_width": 512}  # XLA's own choice is half of it; 
 
 
 @cache
-def _programs() -> tuple[Program[..., Epochs], Program[..., Tally]]:
+def _programs() -> tuple[Program[..., Epochs], Program[..., BlockSums]]:
     """`_draw` and `_reduce`, for blocks of runs; not on import, which must not start JAX."""
     options = _WIDE if jax.default_backend() == "cpu" else None
     return Program(_draw, options, shared=True), Program(_reduce, options, shared=True)
 
 
-def _draw(world: World, seed: jax.Array, numbers: jax.Array) -> Epochs:
+def _draw(model: RunModel, seed: jax.Array, numbers: jax.Array) -> Epochs:
     """Epochs of a block of runs."""
-    return world.epochs(run_keys(seed, numbers))
+    return model.epochs(run_keys(seed, numbers))
 
 
-def _reduce(method: Any, epochs: Epochs, exact: Truth, where: Rows, judge: Any, counted: jax.Array) -> Tally:
-    """Align and tally a block of runs."""
-    return tally(errors_of(method, epochs, exact, where), counted, *judge)
+def _reduce(method: Any, epochs: Epochs, exact: Truth, where: Rows, judge: Any, counted: jax.Array) -> BlockSums:
+    """Align a block of runs and sum it up."""
+    return sum_block(errors_of(method, epochs, exact, where), counted, *judge)
 
 
 _known: list[tuple[Scenario, Scenario, Truth]] = []
@@ -72,21 +71,28 @@ def jobs_of(study: Study) -> Iterator[Job]:
     """
     seed = jax.random.key(study.seed)
     made, exact = _truth_of(study.scenario)
-    worlds: dict[str, World] = {}
+    models: dict[str, RunModel] = {}
     times = np.asarray(exact.t)
     start, stop = study.window
     for label, method in study.methods.items():
-        feed = feed_of(method, made)
-        where = common_rows(made, feed, study.every, label)
-        if feed.name not in worlds:
-            worlds[feed.name] = world_of(made, feed, seed, study.fidelity, exact)
+        spec = epochs_spec(method, made)
+        where = common_rows(made, spec, study.every, label)
+        if spec.name not in models:
+            models[spec.name] = run_model(made, spec, seed, study.fidelity, exact)
         time = times[where.places]
         judge = time, (time > start + 1e-6) & (time <= stop + 1e-6), np.float64(study.tolerance_deg)
-        yield Job(label, without_prefilter(method), worlds[feed.name], feed.name, where, judge)
+        yield Job(
+            label,
+            method.bare.at_interval(spec.samples / made.imu_rate),
+            models[spec.name],
+            spec.name,
+            where,
+            judge,
+        )
 
 
 class Worker:
-    """A device: called with the number of a block, it returns the tally of each method.
+    """A device: called with the number of a block, it returns the sums of each method.
 
     Args:
         study: what to do.
@@ -97,22 +103,23 @@ class Worker:
 
     def __init__(self, study: Study, jobs: list[Job], device: Any, first: int = 0):
         self.study, self.device, self.first = study, device, first
-        worlds = {job.feed: job.world for job in jobs}
+        self.programs = _programs()  # here, not in the device's thread: `cache` lets two threads make a pair each
+        models = {job.spec: job.model for job in jobs}
         own = [{k: getattr(job, k) for k in _OWN} for job in jobs]
-        worlds, own, self.seed = devices.placed((worlds, own, jax.random.key(study.seed)), device)
-        self.jobs = [job._replace(world=worlds[job.feed], **some) for job, some in zip(jobs, own, strict=True)]
+        models, own, self.seed = devices.placed((models, own, jax.random.key(study.seed)), device)
+        self.jobs = [job._replace(model=models[job.spec], **some) for job, some in zip(jobs, own, strict=True)]
 
-    def __call__(self, block: int) -> dict[str, Tally]:
-        """Label -> tally of the runs of a block, on the host."""
+    def __call__(self, block: int) -> dict[str, BlockSums]:
+        """Label -> the sums of the runs of a block, on the host."""
         numbers = block * self.study.block + np.arange(self.study.block)
         counted, placed = devices.placed((numbers < self.study.runs, numbers), self.device)
-        draw, reduce = _programs()
+        draw, reduce = self.programs
         drawn: dict[str, Epochs] = {}
         out = {}
         for job in (*self.jobs[self.first :], *self.jobs[: self.first]):
-            if job.feed not in drawn:
-                drawn[job.feed] = draw(job.world, self.seed, placed)
-            out[job.label] = reduce(job.method, drawn[job.feed], job.world.exact, job.where, job.judge, counted)
+            if job.spec not in drawn:
+                drawn[job.spec] = draw(job.model, self.seed, placed)
+            out[job.label] = reduce(job.method, drawn[job.spec], job.model.exact, job.where, job.judge, counted)
         return {job.label: jax.tree.map(np.asarray, out[job.label]) for job in self.jobs}
 
 

@@ -15,8 +15,8 @@ import optax
 from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
 from jaxalign.simulate import truth
+from jaxalign.study.epochs_spec import RunModel, epochs_spec, run_keys, run_model
 from jaxalign.study.errors import common_rows
-from jaxalign.study.feed import World, feed_of, run_keys, world_of
 from jaxalign.tune.losses import Misfit, RunErrors
 from jaxalign.tune.objective import (
     AlignmentObjective,
@@ -36,8 +36,8 @@ _GROUPS = 20
 
 
 @eqx.filter_jit
-def _drawn(world: World, keys: jax.Array) -> Epochs:
-    return world.epochs(keys)
+def _drawn(model: RunModel, keys: jax.Array) -> Epochs:
+    return model.epochs(keys)
 
 
 @eqx.filter_jit
@@ -110,19 +110,20 @@ def prepared(tune: Tune) -> Prepared:
     if isinstance(tune.loss, Misfit):
         objective = SpectralObjective(tune.space, tune.loss.split, 1.0 / made.imu_rate, recorded(made))
         return Prepared(objective, density_of(exact, made, keys), density_of(exact, made, others))
-    feed = feed_of(tune.method, made)
-    where = common_rows(made, feed, tune.every, "method")
-    world = world_of(made, feed, seed, tune.fidelity, exact)
+    spec = epochs_spec(tune.method, made)
+    where = common_rows(made, spec, tune.every, "method")
+    model = run_model(made, spec, seed, tune.fidelity, exact)
     times = np.asarray(exact.t)[where.places]
     inside = (times > tune.window[0] + 1e-6) & (times <= tune.window[1] + 1e-6)
     where = where._replace(rows=where.rows[inside], places=where.places[inside])
-    filtered = any(path.startswith("prefilter.") for path in tune.paths)
+    filtered = any(path.startswith("front_end.prefilter.") for path in tune.paths)
+    interval = spec.samples / made.imu_rate
     objective = AlignmentObjective(
-        tune.space, tune.loss, world if filtered else None, exact, where, jnp.asarray(times[inside])
+        tune.space, tune.loss, model if filtered else None, exact, where, jnp.asarray(times[inside]), interval
     )
     if filtered:
         return Prepared(objective, keys, others)
-    return Prepared(objective, _drawn(world, keys), _drawn(world, others))
+    return Prepared(objective, _drawn(model, keys), _drawn(model, others))
 
 
 def _finite(tree: Any) -> bool:

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.errors import UserError, close_names
-from jaxalign.observe.options import check_choice
 
 __all__ = [
     "ANGLES",
@@ -88,7 +88,7 @@ class Rmse(AbstractLoss):
         check_choice("angle", self.angle, ANGLES)
 
     def __call__(self, errors: RunErrors) -> Float[Array, ""]:
-        """Pooled."""
+        """Over all runs and rows together."""
         return _root(jnp.mean(errors.of(self.angle) ** 2))
 
 
@@ -129,7 +129,7 @@ class Quantile(AbstractLoss):
             raise UserError(f"share = {self.share}: must be between 0 and 1")
 
     def __call__(self, errors: RunErrors) -> Float[Array, ""]:
-        """The quantile."""
+        """The quantile over the runs of their RMS."""
         return jnp.quantile(_root(jnp.mean(errors.of(self.angle) ** 2, axis=(1, 2))), self.share)
 
 

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxalign.epochs import Epochs
 from jaxalign.prefilter import misfit, multitaper
 from jaxalign.simulate import Scenario, Truth, measure
-from jaxalign.study.errors import Errors, Rows, errors_of
-from jaxalign.study.feed import World
+from jaxalign.study.epochs_spec import RunModel
+from jaxalign.study.errors import Rows, errors_of
 from jaxalign.tune.losses import RunErrors
 from jaxalign.tune.space import Space
 
@@ -33,18 +33,20 @@ class AlignmentObjective(eqx.Module):
     Attributes:
         space: what is tuned.
         loss: function of :class:`RunErrors`.
-        world: of the runs, for a prefilter that is tuned: the batch is their keys. None: the batch is their epochs.
+        model: of the runs, for a prefilter that is tuned: the batch is their keys. None: the batch is their epochs.
         exact: the truth.
         where: the read-outs within the window.
         time: (K,) s, of them.
+        interval: between epochs, s (static).
     """
 
     space: Space
     loss: Any
-    world: World | None
+    model: RunModel | None
     exact: Truth
     where: Rows
     time: Float[Array, " K"]
+    interval: float = eqx.field(static=True)
 
     def __call__(self, free: Any, batch: Epochs | PRNGKeyArray) -> Float[Array, ""]:
         """The loss with these free numbers. Pure."""
@@ -58,16 +60,17 @@ class AlignmentObjective(eqx.Module):
         groups = -(-count // lanes)
         index = np.minimum(np.arange(groups * lanes), count - 1)  # the last group is filled with the last run
 
-        def of(group: Any) -> Errors:
+        def of(group: Any) -> tuple[Any, Any]:
             epochs = taken(batch, group)
-            if self.world is not None:
-                world = eqx.tree_at(lambda w: w.feed.prefilter, self.world, method.prefilter)
-                epochs = world.epochs(epochs)
-            return errors_of(method, epochs, self.exact, self.where)
+            if self.model is not None:
+                model = eqx.tree_at(lambda w: w.spec.prefilter, self.model, method.front_end.prefilter)
+                epochs = model.epochs(epochs)
+            errors = errors_of(method.at_interval(self.interval), epochs, self.exact, self.where)
+            return errors.euler, errors.phi
 
         found = jax.lax.map(jax.checkpoint(of, prevent_cse=False), index.reshape(groups, lanes))
         found = jax.tree.map(lambda x: x.reshape(groups * lanes, *x.shape[2:])[:count], found)
-        euler, phi = (jnp.where(jnp.isfinite(x), x, _UNKNOWN_DEG) for x in (found.euler, found.phi))
+        euler, phi = (jnp.where(jnp.isfinite(x), x, _UNKNOWN_DEG) for x in found)
         return RunErrors(euler, phi, self.time)
 
 
@@ -101,7 +104,7 @@ class SpectralObjective(eqx.Module):
     def __call__(self, free: Any, batch: Float[Array, " F"]) -> Float[Array, ""]:
         """The loss with these free numbers, for a density of the force."""
         frequency = np.fft.rfftfreq(self.count, self.dt)
-        gain = self.space.method(free).prefilter.response(frequency, self.dt)
+        gain = self.space.method(free).front_end.prefilter.response(frequency, self.dt)
         return jnp.log(misfit(frequency, batch, gain, self.split))
 
 

@@ -42,7 +42,7 @@ class History:
     held: list[float] = field(default_factory=list)
 
     def step(self, loss: float, values: dict[str, float], slopes: Any, seconds: float) -> None:
-        """One more."""
+        """Add a step."""
         self.loss.append(loss)
         self.seconds.append(seconds)
         for path, value in values.items():

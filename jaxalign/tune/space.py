@@ -127,12 +127,12 @@ def space_of(method: Any, paths: Sequence[str]) -> Space:
 
     Args:
         method: to start from.
-        paths: of numbers declared by :func:`jaxalign.tunable` ("weight.gamma"), or of modules of the method (a
+        paths: of numbers declared by :func:`jaxalign.tunable` ("weight.threshold"), or of modules of the method (a
             network "weight.net", say), whose arrays are all tuned, without bounds.
 
     Raises:
-        UserError: no path, an unknown one (the nearest are offered), one named twice, or a number that starts at
-            zero where steps are relative.
+        UserError: no path, an unknown one (the nearest are offered), one named twice, a number that starts at zero
+            where steps are relative or is not set at all, or a figure with a number per axis.
     """
     known = tunables(method)
     if isinstance(paths, str):
@@ -144,9 +144,14 @@ def space_of(method: Any, paths: Sequence[str]) -> Space:
         if list(paths).count(path) > 1:
             raise UserError(f"parameter {path} is named twice")
         if path in known:
-            start, (low, high) = float(_at(method, path)), known[path]
+            start, (low, high) = _at(method, path), known[path]
+            if start is None:
+                raise UserError(f"{path} is not set: give it a positive start (--set {path}=...)")
+            if start.ndim:
+                numbers = ", ".join(f"{x:g}" for x in np.asarray(start).flat)
+                raise UserError(f"{path} holds {numbers}, one per axis, and a single number is tuned: set one for all")
             try:
-                maps[path] = Bounded.around(start, low, high)
+                maps[path] = Bounded.around(float(start), low, high)
             except ValueError as error:
                 raise UserError(f"{path} {error}: give it a positive start (--set {path}=...)") from None
         elif not _is_module(method, path):

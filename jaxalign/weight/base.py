@@ -45,5 +45,5 @@ class Unit(AbstractWeight):
         return None
 
     def step(self, state: Any, context: Context, pair: Pair) -> tuple[Any, Any]:
-        """One."""
+        """Weigh a pair: always by one."""
         return state, jnp.ones((), jnp.float64)

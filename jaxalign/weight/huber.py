@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.observe import Context, Pair
-from jaxalign.observe.options import check_choice
 from jaxalign.parametrization import tunable
 from jaxalign.weight.base import AbstractWeight
 
@@ -17,12 +17,12 @@ __all__ = ["Huber"]
 
 
 class Huber(AbstractWeight):
-    """Full weight up to ``gamma`` standard deviations of the residual, ``gamma / r`` beyond.
+    """Full weight up to ``threshold`` standard deviations of the residual, ``threshold / r`` beyond.
 
     The weight is one until there is an attitude.
 
     Attributes:
-        gamma: threshold, in standard deviations of the pair (sqrt(2) times the aid's: two velocities enter it).
+        threshold: in standard deviations of the pair (sqrt(2) times the aid's: two velocities enter it).
         residual: "vector" (default): ``|beta - C_b0n0 alpha|`` with the last attitude read out. "norm": ``||beta| -
             |alpha||``, which needs no attitude but is blind to errors across the vector.
 
@@ -30,7 +30,7 @@ class Huber(AbstractWeight):
     are this library's definitions (1.345 is usual for "norm").
     """
 
-    gamma: Float[Array, ""] = tunable(2.5, unit="1", bounds=(0.1, 10.0))
+    threshold: Float[Array, ""] = tunable(2.5, unit="1", bounds=(0.1, 10.0))
     residual: Literal["vector", "norm"] = eqx.field(static=True, default="vector")
 
     def __check_init__(self):
@@ -46,6 +46,6 @@ class Huber(AbstractWeight):
             size = pair.residual(context.attitude).norm()
         else:
             size = jnp.abs(pair.beta.norm() - pair.alpha.norm())
-        limit = self.gamma * jnp.sqrt(2.0) * context.sd
+        limit = self.threshold * jnp.sqrt(2.0) * context.sd
         beyond = (size > limit) & context.defined
         return state, jnp.where(beyond, limit / jnp.where(beyond, size, 1.0), 1.0)

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxalign.arguments import check_choice
 from jaxalign.observe import Context, Pair
-from jaxalign.observe.options import check_choice
 from jaxalign.parametrization import tunable
 from jaxalign.vector import where
 from jaxalign.weight.base import AbstractWeight
@@ -32,13 +32,13 @@ class _Moments(eqx.Module):
 
 
 class Mahalanobis(AbstractWeight):
-    """Weight ``exp(-(D / delta)^gamma)`` where ``D > mean(D) + threshold sd(D)`` over the history, else one.
+    """Weight ``exp(-(D / delta)^exponent)`` where ``D > mean(D) + threshold sd(D)`` over the history, else one.
 
     ``D = |h - mu| / sqrt(Sigma)`` with ``h = |beta| - |alpha|``; mu and Sigma are those of the pairs not found
     outlying.
 
     Attributes:
-        gamma: exponent ("exponential control" of the paper).
+        exponent: "exponential control" of the paper, its gamma.
         delta: scale of D.
         threshold: of the criterion, in standard deviations of D.
         gate: "hard" (default): the criterion as published, a step: the threshold has no derivative. "smooth": the pair
@@ -58,7 +58,7 @@ class Mahalanobis(AbstractWeight):
     """
 
     looks_at_attitude: ClassVar[bool] = False
-    gamma: Float[Array, ""] = tunable(4.0, unit="1", bounds=(0.5, 16.0))
+    exponent: Float[Array, ""] = tunable(4.0, unit="1", bounds=(0.5, 16.0))
     delta: Float[Array, ""] = tunable(5.0239, unit="1", bounds=(0.1, 50.0))
     threshold: Float[Array, ""] = tunable(2.0, unit="1", bounds=(0.1, 10.0))
     sharpness: Float[Array, ""] = tunable(10.0, unit="1", bounds=(0.1, 1000.0))
@@ -95,10 +95,10 @@ class Mahalanobis(AbstractWeight):
         some = distance > 0
         ratio = jnp.where(some, distance / self.delta, 1.0)
         # Beyond exp(7) the weight is zero in any case, and a derivative of 0 times infinity would not be.
-        power = jnp.exp(jnp.minimum(self.gamma * jnp.log(ratio), 7.0))
+        power = jnp.exp(jnp.minimum(self.exponent * jnp.log(ratio), 7.0))
         weight = jnp.where(some, 1.0 - outlying * (1.0 - jnp.exp(-power)), 1.0)
         # The pair of the first epoch is null: it says nothing.
-        used = pair.valid & (pair.clean.norm2() > 0)
+        used = pair.valid & (pair.noise_free.norm2() > 0)
         inlying = jnp.where(used, 1.0 - outlying, 0.0)
         counted = jnp.where(used, 1.0, 0.0) if self.statistics == "all" else inlying
         return (lengths.plus(h, inlying), distances.plus(distance, counted)), weight

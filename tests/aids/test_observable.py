@@ -30,7 +30,7 @@ def test_heading_error_at_the_crossing_on_the_s_turn():
     """What the README says: some 20 deg rms, 40 deg in single runs."""
     made = scenario("dvl-sturn")
     exact, draw, errors = truth(made), eqx.filter_jit(measure_epochs), []
-    intervals = intervals_of(exact, made.aid_every)
+    intervals = intervals_of(exact, made.epoch_samples)
     for seed in range(12):
         found = align(build("oba"), draw(intervals, made, jax.random.key(seed)))
         first = int(np.flatnonzero(np.asarray(found.observable))[0])
@@ -45,7 +45,7 @@ def test_is_the_eigenvalue_criterion(log):
     alpha = np.asarray(found.alpha)
     for k in (20, 50, 64, 66, 80, 200):
         s = np.linalg.eigvalsh(alpha[: k + 1].T @ alpha[: k + 1])
-        ratio = 4 * (s[0] + s[1]) / (8 * k * log.aid_sd**2)
+        ratio = 4 * (s[0] + s[1]) / (8 * k * log.aids[0].sd ** 2)
         assert abs(ratio - 1) > 1e-5
         assert bool(found.observable[k]) == (ratio > 1)
 
@@ -80,8 +80,8 @@ def test_never_on_a_base_whose_noise_is_large():
     from jaxalign import epochs_from_log
 
     log = simulate("sway", 1, duration=100.0)
-    epochs = epochs_from_log(log, static=True)
-    epochs = eqx.tree_at(lambda e: e.aid_sd, epochs, jnp.asarray(10.0))
+    epochs = epochs_from_log(log, aids="static")
+    epochs = epochs.with_sd(jnp.asarray(10.0))
     found = align(build("gravity_q"), epochs)
     assert not np.asarray(found.observable).any()
     assert (np.asarray(found.status)[-1] & 2) == 2

@@ -40,7 +40,7 @@ def test_the_first_rows_are_those_of_a_scan(reverse):
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize("calibrate", ["none", "mounting"])
+@pytest.mark.parametrize("calibrate", ["none", "scale,mounting"])
 def test_runs_side_by_side_are_the_runs(calibrate):
     """More runs than lanes, few rows; and with the method as a constant of the program."""
     method = build("robust_map", "body", {"calibrate": calibrate})

@@ -1,16 +1,16 @@
 """The Cramer-Rao bound: figures of others, closed forms, and what must make it larger or smaller."""
 
-import dataclasses
-
-import equinox as eqx
 import numpy as np
 import pytest
 from frozen import case
+from logs import with_noise
 
 from jaxalign import UserError
 from jaxalign.bounds import bound
 from jaxalign.cli.main import main
-from jaxalign.simulate import noiseless, scenario
+from jaxalign.earth import Site
+from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
+from jaxalign.simulate import Scenario, noiseless, scenario, static_base
 
 EARTH_RATE, GRAVITY = 7.292115e-5, 9.795
 
@@ -47,7 +47,7 @@ def test_frozen_curves(shared, name, frozen):
 def test_closed_form_for_white_noise_of_the_aid():
     """A perfect inertial unit, first velocity unknown: sd sqrt(180 dt / T) / (g w_ie cos(lat) T^2 / 2)."""
     made = scenario("dvl-sturn")
-    made = dataclasses.replace(noiseless(made), aid_sd=made.aid_sd)
+    made = with_noise(noiseless(made), made.aids[0].sd)
     found = bound(made)
     for t in (200.0, 300.0):
         a = 0.5 * GRAVITY * EARTH_RATE * np.cos(float(made.site.lat)) * t**2
@@ -58,15 +58,24 @@ def test_closed_form_for_white_noise_of_the_aid():
 def test_gyro_bias_bounds_a_vehicle_at_rest():
     """The east gyro's bias over the horizontal Earth rate, whatever the time."""
     made = scenario("sway", duration=300.0)
-    drift = np.rad2deg(float(made.gyro.bias[0]) / (EARTH_RATE * np.cos(float(made.site.lat))))
+    drift = np.rad2deg(float(made.imu.gyro.bias) / (EARTH_RATE * np.cos(float(made.site.lat))))
     np.testing.assert_allclose(heading(bound(made), 300.0), drift, rtol=0.03)
+
+
+def test_the_axis_that_points_east_bounds_a_vehicle_at_rest():
+    """Its gyroscope alone: 0.02 deg/h of x or y among 5 deg/h of the others, or the other way round."""
+    imu = ImuErrors(GyroErrors([0.02, 5.0, 5.0], 1e-5), AccelErrors(1.0, 1.0))
+    for yaw, drift in ((0.0, 0.02), (90.0, 5.0)):
+        made = Scenario(static_base(yaw_deg=yaw), Site(0.5), imu=imu, duration=300.0, imu_rate=20.0, epoch_samples=20)
+        expected = drift * np.deg2rad(1) / 3600 / (EARTH_RATE * np.cos(0.5))
+        np.testing.assert_allclose(np.deg2rad(heading(bound(made), 300.0)), expected, rtol=0.03)
 
 
 @pytest.mark.slow
 def test_more_noise_and_fewer_fixes_are_worse():
     made = scenario("dvl-sturn")
     usual = bound(made)
-    noisier = bound(eqx.tree_at(lambda s: s.aid_sd, made, 2 * made.aid_sd))
+    noisier = bound(with_noise(made, 2 * made.aids[0].sd))
     holed = bound(scenario("dvl-sturn", gaps=[[40, 60]]))
     longer = np.asarray(usual.time) > 61
     for worse in (noisier, holed):
@@ -95,7 +104,7 @@ def test_command(tmp_path, capsys):
     for arguments, said in (
         (["bound", "dvl-stur"], "did you mean 'dvl-sturn'"),
         (["bound", "disturbed"], "not white noise"),
-        (["bound", "dvl-sturn", "--every", "0"], "above 0 s"),
+        (["bound", "dvl-sturn", "--every", "0"], "every = 0"),
         (["bound", "dvl-sturn", "--plot", "bound.xyz"], "must end in"),
     ):
         assert main(arguments) == 2

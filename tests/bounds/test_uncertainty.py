@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from logs import with_noise
 from statistical import phi_deg
 
 from jaxalign import align, assess, imu_errors
 from jaxalign.bounds import bound
 from jaxalign.cli.main import main
 from jaxalign.errors import UserError
-from jaxalign.inertial_unit import imu_figures
+from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors, imu_figures
 from jaxalign.io.npz import write_npz
 from jaxalign.methods import build
 from jaxalign.simulate import intervals_of, measure_epochs, scenario, simulate, truth
@@ -25,7 +26,8 @@ from jaxalign.uncertainty import ensemble_covariance
 def drawn(made, key):
     """With biases from a normal distribution."""
     a, b = (jax.random.normal(k, (3,)) for k in jax.random.split(key))
-    return eqx.tree_at(lambda s: (s.gyro.bias, s.accel.bias), made, (made.gyro.bias * a, made.accel.bias * b))
+    biases = made.imu.gyro.bias_deg_h * a, made.imu.accel.bias_ug * b
+    return eqx.tree_at(lambda s: (s.imu.gyro.bias_deg_h, s.imu.accel.bias_ug), made, biases)
 
 
 @eqx.filter_jit
@@ -43,7 +45,14 @@ def errors_and_deviations(made, name, runs, every, draws):
     """(runs, rows, 3) both, rad, n; rows after the first."""
     exact = truth(made)
     keys = jax.random.split(jax.random.key(11), runs)
-    q, covariance = solved(made, intervals_of(exact, made.aid_every), build(name, made.aid), keys, every, draws)
+    q, covariance = solved(
+        made,
+        intervals_of(exact, made.epoch_samples),
+        build(name, made.aids[0].aid if made.aids else "static"),
+        keys,
+        every,
+        draws,
+    )
     rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])
     phi, sd = np.deg2rad(phi_deg(q, exact.C_nb[rows])), np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     return phi[:, 1:], sd[:, 1:], rows[1:], exact
@@ -68,7 +77,7 @@ def test_centred_oba_knows_its_errors():
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_coverage(name, share):
     """95 % intervals at 200 and 300 s, a tenth of outliers or none (the first fix excepted)."""
-    made = dataclasses.replace(scenario("dvl-sturn"), faults=(FixedOutliers(share, 300.0),))  # one program for both
+    made = with_noise(scenario("dvl-sturn"), faults=(FixedOutliers(share, 300.0),))  # one program for both
     runs = 60 if name == "revising_oba" else 100  # the dear one
     phi, sd, _, _ = errors_and_deviations(made, name, runs, 100, draws=64)
     covered = (np.abs(phi) < 1.96 * sd)[:, 1:].mean(axis=(0, 1))
@@ -124,6 +133,17 @@ def test_aligned_from_the_last_time_below(log, found):
 
 
 @pytest.mark.slow
+def test_biases_that_wander_count(log):
+    """A random walk of the bias from zero, and no other error of the gyroscopes: pitch and roll grow with it."""
+    found = []
+    for walk in (None, 5.0, 10.0):
+        imu = ImuErrors(GyroErrors(bias_walk_deg_h_sqrt_h=walk), AccelErrors(1.0, 1.0))
+        found.append(assess(build("oba", "body"), log, imu, every=30, aid_sd=1e-3).sd[-1, :2])
+    assert (found[1] > 3 * found[0]).all()
+    np.testing.assert_allclose(found[2] / found[1], 2.0, rtol=0.05)
+
+
+@pytest.mark.slow
 def test_behind_a_prefilter_it_is_indicative():
     log = simulate("sway", seed=1, duration=30.0)
     found = assess(build("triad", "static", prefilter="fir"), log, imu_errors("tactical"), every=30, draws=32)
@@ -151,13 +171,19 @@ def test_bad_input(log):
 
 def test_figures_from_a_file(tmp_path):
     path = tmp_path / "unit.toml"
-    good = "gyro_bias_deg_h = 2\ngyro_walk_deg_sqrt_h = 0.1\naccel_bias_ug = 500\naccel_noise_ug_sqrt_hz = 80\n"
+    gyro = "[gyro]\nbias_deg_h = 2\nwalk_deg_sqrt_h = 0.1\n"
+    good = gyro + "[accel]\nbias_ug = 500\ndensity_ug_sqrt_hz = [80, 80, 90]\n"
     path.write_text(good)
-    assert float(imu_figures(str(path)).gyro_bias_deg_h) == 2.0
-    assert float(imu_figures("mems").gyro_bias_deg_h) == 200.0
+    found = imu_figures(str(path))
+    assert float(found.gyro.bias_deg_h) == 2.0
+    np.testing.assert_array_equal(found.accel.density_ug_sqrt_hz, [80, 80, 90])
+    assert found.gyro.bias_walk is None
+    assert float(imu_figures("mems").gyro.bias_deg_h) == 200.0
     for text, message in (
-        ("gyro_bias_deg_h = 2\n", "missing"),
+        (gyro, r"\[accel\] bias_ug, \[accel\] density_ug_sqrt_hz or noise_ug: missing"),
+        ("gyro_bias_deg_h = 2\n" + good, r"gyro_bias_deg_h: the figures stand in two tables: \[gyro\] bias_deg_h"),
         (good + "x = 1\n", "no parameter"),
+        (good.replace("80, 80, 90", "80, 80"), "must be a number, or three, one per axis"),
         (good.replace("= 2", "= -2"), "outside its bounds"),
         ("gyro", "TOML"),
     ):

@@ -1,6 +1,7 @@
 """The command and its store of compiled programs: the same answer whatever is wrong with it, at most one quiet line."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -20,7 +21,7 @@ def log(tmp_path_factory):
     rng = np.random.default_rng(0)
     rates, forces = np.array([0.0, 6.1e-5, 4.0e-5]), np.array([0.0, 0.0, 9.79])
     dtheta = rng.normal(rates * 0.01, 1e-7, (6000, 3))
-    write_npz(Log(dtheta, rng.normal(forces * 0.01, 1e-5, (6000, 3)), 0.01, 100, "static", None, 0.58), path)
+    write_npz(Log(dtheta, rng.normal(forces * 0.01, 1e-5, (6000, 3)), 0.01, 100, 0.58), path)
     return path
 
 
@@ -65,6 +66,15 @@ def test_two_at_once_on_an_empty_store(log, answer, filled):
     assert not list(filled.glob("*/.*"))
     assert answered(begun(log, filled)) == (answer, "")
     assert {file: file.stat().st_ino for file in programs(filled)} == files  # read, not written again
+
+
+def test_the_default_method_compiles_nothing_small(log, tmp_path):
+    """Only the steps of the search, and the vectors that tell the noise."""
+    environment = {**os.environ, "JAXALIGN_CACHE": str(tmp_path), "JAX_LOG_COMPILES": "1"}
+    command = [sys.executable, "-m", "jaxalign", "align", str(log), "--every", "60"]
+    run = subprocess.run(command, text=True, env=environment, capture_output=True, timeout=300, check=True)
+    compiled = re.findall(r"Finished XLA compilation of jit\((\w+)\)", run.stderr)
+    assert {"_begun", "step"} <= set(compiled) <= {"_begun", "step", "_turned", "_best", "_jitted"}
 
 
 def test_entries_cut_off_and_those_of_another_jaxlib(log, answer, filled, tmp_path):

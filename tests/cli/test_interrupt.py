@@ -57,7 +57,7 @@ def log(tmp_path_factory):
     samples = 3000
     w = np.array([0.0, 6e-5, 4e-5])
     write_npz(
-        Log(np.tile(w * 0.01, (samples, 1)), np.tile([0, 0, 9.8 * 0.01], (samples, 1)), 0.01, 100, "static", None, 0.6),
+        Log(np.tile(w * 0.01, (samples, 1)), np.tile([0, 0, 9.8 * 0.01], (samples, 1)), 0.01, 100, 0.6),
         path,
     )
     return path
@@ -127,7 +127,7 @@ def test_what_can_be_saved_is_saved(tmp_path):
 def test_nothing_half_written_is_left(tmp_path):
     text = f"""
         import time
-        from jaxalign.io import replacing
+        from jaxalign.files import replacing
         with replacing({str(tmp_path / "file")!r}) as stream:
             stream.write(b"half")
             stream.flush()
@@ -171,7 +171,7 @@ def test_in_a_study(tmp_path):
         "duration=30",
         "--methods",
         "oba",
-        "--out",
+        "--output",
         str(tmp_path / "s"),
     )
     more = ("--runs", "4000000", "--chunk", "64")

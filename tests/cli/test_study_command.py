@@ -27,7 +27,7 @@ SAME = ["--methods", "oba,roba", "--runs", str(RUNS), "--seed", "4", "--toleranc
 @pytest.mark.slow
 def test_command_on_all_cores_is_the_same_to_the_last_bit(result, tmp_path):
     """The command takes each core as a device of its own. The first of the two methods: each device compiles it."""
-    command = [*COMMAND, *SAME, "--methods", "oba", "--out", tmp_path, "--plot"]
+    command = [*COMMAND, *SAME, "--methods", "oba", "--output", tmp_path, "--plot"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "wrote" in done.stdout
@@ -46,7 +46,7 @@ def test_two_processes_are_the_same_to_the_last_bit(result, tmp_path):
     together = ["--distributed", f"127.0.0.1:{port}", "--processes", "2"]
     both = [
         subprocess.Popen(
-            [*COMMAND, *SAME, "--out", tmp_path, "--chunk", "32", *together, "--rank", str(rank)],
+            [*COMMAND, *SAME, "--output", tmp_path, "--chunk", "32", *together, "--rank", str(rank)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -89,7 +89,7 @@ def test_processes_with_different_flags_refuse(tmp_path):
 def test_killed_and_resumed(how, tmp_path):
     """At any moment, here as soon as a chunk is there; the resumed study is the one that was never stopped."""
     many = [*COMMAND, "--methods", "oba", "--runs", "40000", "--chunk", "2048"]
-    process = subprocess.Popen([*many, "--out", tmp_path / "a"], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([*many, "--output", tmp_path / "a"], stderr=subprocess.PIPE, text=True)
     while not list((tmp_path / "a" / "chunks").glob("0*.npz")):
         assert process.poll() is None
         time.sleep(0.01)
@@ -101,8 +101,8 @@ def test_killed_and_resumed(how, tmp_path):
         assert "Traceback" not in said
     kept = list((tmp_path / "a" / "chunks").glob("0*.npz"))
     assert 0 < len(kept) < 20
-    subprocess.run([*many, "--out", tmp_path / "a", "--resume"], check=True, capture_output=True)
-    subprocess.run([*many, "--out", tmp_path / "b"], check=True, capture_output=True)
+    subprocess.run([*many, "--output", tmp_path / "a", "--resume"], check=True, capture_output=True)
+    subprocess.run([*many, "--output", tmp_path / "b"], check=True, capture_output=True)
     with np.load(tmp_path / "a" / "results.npz") as one, np.load(tmp_path / "b" / "results.npz") as two:
         assert set(one) == set(two)
         for key in one:
@@ -114,8 +114,8 @@ def test_killed_and_resumed(how, tmp_path):
     [
         (["--methods", "obba"], "did you mean"),
         (["--methods", "oba,oba"], "named twice"),
-        (["--methods", "oba", "--set", "weight.gamma=3"], "weight.gamma"),
-        (["--methods", "oba", "--set", "rba:weight.gamma=3"], "no method 'rba' in --methods"),
+        (["--methods", "oba", "--set", "weight.threshold=3"], "weight.threshold"),
+        (["--methods", "oba", "--set", "rba:weight.threshold=3"], "no method 'rba' in --methods"),
         (["--set", "outlier=fixed"], "no option 'outlier'; did you mean"),
         (["--runs", "1"], "runs = 1"),
         (["--fidelity", "x"], "fidelity = 'x'"),
@@ -124,10 +124,10 @@ def test_killed_and_resumed(how, tmp_path):
         (["--rank", "1"], "go with --distributed"),
         (["--distributed", "127.0.0.1:9", "--processes", "2"], "the rank of this one"),
         (["--distributed", "here", "--processes", "2", "--rank", "0"], "write it as host:port"),
-        (["--out", "/dev/null/x"], "cannot be used"),
+        (["--output", "/dev/null/x"], "cannot be used"),
         (["--set", "name=x"], "no option 'name'"),
         (["--distributed", "7777", "--processes", "2", "--rank", "0"], "write it as host:port"),
-        (["--out", "/dev/null"], "is not a folder"),
+        (["--output", "/dev/null"], "is not a folder"),
     ],
 )
 def test_wrong_flags(arguments, message, capsys):
@@ -142,18 +142,18 @@ def test_wrong_flags(arguments, message, capsys):
 def test_variants_of_one_method():
     from jaxalign.cli.study import _methods
 
-    found = _methods("roba, wide=roba,oba", "body", None, {"weight.gamma": "3", "wide:weight.gamma": "5"})
+    found = _methods("roba, wide=roba,oba", "body", None, {"weight.threshold": "3", "wide:weight.threshold": "5"})
     assert list(found) == ["roba", "wide", "oba"]
-    assert (float(found["roba"].weight.gamma), float(found["wide"].weight.gamma)) == (3.0, 5.0)
+    assert (float(found["roba"].weight.threshold), float(found["wide"].weight.threshold)) == (3.0, 5.0)
 
 
 def test_settings_find_their_place():
     from jaxalign.cli.report import split_settings
 
-    given = {"outliers": "fixed", "weight.gamma": "3", "b:gap": "1", "heading_margin": "2", "duration": "60"}
+    given = {"outliers": "fixed", "weight.threshold": "3", "b:gap": "1", "heading_margin": "2", "duration": "60"}
     of_scenario, of_methods = split_settings(given, "dvl-sturn")
     assert list(of_scenario) == ["outliers", "duration"]
-    assert list(of_methods) == ["weight.gamma", "b:gap", "heading_margin"]
+    assert list(of_methods) == ["weight.threshold", "b:gap", "heading_margin"]
 
 
 def test_nobody_answers(monkeypatch):

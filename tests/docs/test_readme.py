@@ -38,7 +38,7 @@ def test_python(tmp_path, monkeypatch, capsys):
     matplotlib.use("Agg")
     space: dict = {}
     code = blocks("python")
-    assert len(code) == 7
+    assert len(code) == 8
     for block in code:
         exec(compile(block, "README.md", "exec"), space)
     assert space["milder"].weight.cutoff == 8.0
@@ -66,17 +66,27 @@ def test_commands(tmp_path, monkeypatch, capsys):
 def test_column_map_is_a_map(tmp_path):
     from jaxalign.io.columns import column_map
 
-    text, _ = blocks("toml")
+    _, text, _ = blocks("toml")
     (tmp_path / "dvl.csv").write_text("t,vx,vy,vz\n")
-    column_map(tomllib.loads(text), tmp_path / "log.csv")
+    found = column_map(tomllib.loads(text), tmp_path / "log.csv")
+    assert (found.turn, found.gyro, found.accel_unit) == (True, ("wx", "wy", "wz"), 9.80665)
+    assert found.aids[0].file == tmp_path / "dvl.csv"
+    assert found.aids[0].aid == jaxalign.BodyVelocity()
+
+
+def test_file_of_figures_is_a_unit(tmp_path):
+    from jaxalign.inertial_unit import imu_figures
+
+    (tmp_path / "unit.toml").write_text(blocks("toml")[0])
+    assert imu_figures(str(tmp_path / "unit.toml")).gyro.walk_deg_sqrt_h.tolist() == [0.1, 0.1, 0.2]
 
 
 def test_scenario_file_is_a_scenario(tmp_path):
     from jaxalign.simulate import scenario_file
 
-    (tmp_path / "harbour.toml").write_text(blocks("toml")[1])
+    (tmp_path / "harbour.toml").write_text(blocks("toml")[2])
     made = scenario_file(tmp_path / "harbour.toml")
-    assert (made.name, made.duration, float(made.aid_sd)) == ("harbour", 120.0, 0.03)
+    assert (made.name, made.duration, float(made.aids[0].sd)) == ("harbour", 120.0, 0.03)
 
 
 @pytest.mark.parametrize("link", re.findall(r"\]\((?!https?:)([^)#]+)\)", README))

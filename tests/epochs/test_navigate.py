@@ -23,7 +23,7 @@ def navigated(name, samples=2, **options):
     epochs = epochs_from_log(log_of(made, exact, 0), interval_samples=samples)
     start = NavState.at(made.site, Quat.of(quat_from_dcm(exact.C_nb[0])), Vec3.of(exact.velocity_n[0]))
     states = run(epochs, start)
-    every = made.aid_every // samples
+    every = made.epoch_samples // samples
     return jax.tree.map(lambda x: x[::every], states), exact
 
 

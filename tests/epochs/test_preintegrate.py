@@ -10,15 +10,17 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from jaxalign.preintegration import Increment, preintegrate
+from jaxalign.published.preintegration import interval, interval_plain, pairs_series
 from jaxalign.vector import Quat, Vec3, mean_rotated
 
+PAPERS = {x.__name__: x for x in (interval, interval_plain, pairs_series)}
 SCHEMES = ["pairs", "pairs_series", "lookback", "interval", "interval_plain"]
 compiled = jax.jit(preintegrate, static_argnames=("every", "scheme"))
 
 
 def run(th, dv, every, scheme="pairs"):
     """(rotations, velocity increments) as SciPy and NumPy hold them."""
-    found = compiled(th, dv, every=every, scheme=scheme)
+    found = compiled(th, dv, every=every, scheme=PAPERS.get(scheme, scheme))
     return Rotation.from_quat(np.roll(found.rotation.array, -1, axis=-1)), np.asarray(found.dvel.array)
 
 
@@ -97,6 +99,10 @@ def test_schemes_against_a_loop(scheme, every):
         with pytest.raises(ValueError, match=f"{every} samples cannot be halved"):
             run(th, dv, every, scheme)
         return
+    if scheme == "pairs_series" and every == 1:
+        with pytest.raises(ValueError, match="no pair"):
+            run(th, dv, every, scheme)
+        return
     found = run(th, dv, every, scheme)
     assert_same(found, loop(th, dv, every, scheme), 40 * EPS)
     assert len(found[1]) == 22 // every
@@ -139,7 +145,7 @@ def test_composition_is_associative():
 def test_constant_rate_and_force_are_exact(scheme, every):
     """Any angle: the rotation is exp(T w), the velocity its mean times T f."""
     w, f, dt = np.array([2.0, -3.0, 1.5]), np.array([0.4, -0.2, 9.8]), 0.1
-    found = compiled(np.tile(w * dt, (12, 1)), np.tile(f * dt, (12, 1)), every=every, scheme=scheme)
+    found = compiled(np.tile(w * dt, (12, 1)), np.tile(f * dt, (12, 1)), every=every, scheme=PAPERS.get(scheme, scheme))
     length = every * dt
     rotation = Rotation.from_rotvec(w * length).as_matrix()
     dvel = mean_rotated(Vec3(*w * length), Vec3(*f * length)).array
@@ -226,7 +232,7 @@ def test_order_of_the_error_in_a_smooth_motion(scheme, rotation_order, velocity_
     for samples in (32, 64):
         th, dv, c, v = _smooth_motion(0.8, samples)
         every = 2 if scheme == "interval_plain" else samples
-        parts = compiled(th, dv, every=every, scheme=scheme)
+        parts = compiled(th, dv, every=every, scheme=PAPERS.get(scheme, scheme))
         total = jax.tree.map(lambda x: x[0], parts)
         for i in range(1, samples // every):
             total = total @ jax.tree.map(lambda x, i=i: x[i], parts)

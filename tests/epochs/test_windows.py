@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from logs import with_velocity
 
 import jaxalign as ja
 from jaxalign import Status, align, epochs_from_arrays
@@ -21,7 +22,7 @@ def log():
 @pytest.mark.parametrize("window", [20.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (20.0, 21.0))])
 def test_a_window_never_stops_for_want_of_a_far_end(log, window):
     """Epochs of half a second between fixes of one: whatever the window, every fix gives a vector."""
-    method = build("oba", "body", {"observe.interval_samples": 100, "observe.window": window})
+    method = build("oba", "body", {"front_end.interval_samples": 100, "observe.window": window})
     found = align(method, log)
     fix = np.arange(len(found.time)) % 2 == 0
     np.testing.assert_array_equal(np.asarray(found.weight) > 0, fix)
@@ -31,9 +32,9 @@ def test_a_window_never_stops_for_want_of_a_far_end(log, window):
 
 @pytest.mark.slow
 def test_a_window_over_lost_fixes_reaches_back_to_the_last_one(log):
-    velocity = log.velocity.copy()
+    velocity = log.aids[0].value.copy()
     velocity[1::2] = np.nan
-    holed = dataclasses.replace(log, velocity=velocity)
+    holed = with_velocity(log, velocity)
     # 21 s back there is no fix, 22 s back there is one.
     odd, wide = (align(build("oba", "body", {"observe.window": w}), holed) for w in (21.0, 22.0))
     assert (np.asarray(odd.weight) > 0).sum() == (np.asarray(wide.weight) > 0).sum() == 151
@@ -47,9 +48,9 @@ def test_a_window_of_the_whole_length_is_the_whole(log):
     np.testing.assert_allclose(window.q_nb, whole.q_nb, atol=1e-9)
 
 
-@pytest.mark.parametrize("parameters", [{}, pytest.param({"observe.interval_samples": 50}, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("parameters", [{}, pytest.param({"front_end.interval_samples": 50}, marks=pytest.mark.slow)])
 def test_noise_is_estimated_whatever_the_interval(log, parameters):
-    bare = dataclasses.replace(log, aid_sd=None)
+    bare = log.with_aid(dataclasses.replace(log.aids[0], sd=None))
     found = align(build("oba", "body", parameters), bare, every=100)
     assert float(found.aid_sd[-1]) == pytest.approx(0.1, rel=0.2)
 
@@ -98,7 +99,7 @@ class Damped(ja.AbstractWeight):
 @pytest.mark.slow
 def test_tunables_may_be_traced(log):
     """Built or set inside jit, vmap and grad: a number of a method is a leaf like any other."""
-    epochs, observe = ja.epochs_from_log(log), ja.BodyVelocity(transport_rate=False)
+    epochs, observe = ja.epochs_from_log(log), ja.BodyVelocityVectors()
 
     def built(gamma):
         return ja.Aligner(observe, weight=Damped(gamma), estimate=ja.QMethod()).solve(epochs, 100).q_nb[-1, 3]
@@ -120,13 +121,13 @@ def test_tunables_may_be_traced(log):
 
 def test_float32_arrays_are_refused_by_name(log):
     arguments = dict(dt=log.dt, every=200, site=ja.Site(log.lat), aid="body")
-    for name in ("dtheta", "dvel", "velocity"):
-        arrays = {"dtheta": log.dtheta, "dvel": log.dvel, "velocity": log.velocity}
+    for name in ("dtheta", "dvel", "values"):
+        arrays = {"dtheta": log.dtheta, "dvel": log.dvel, "values": log.aids[0].value}
         arrays[name] = arrays[name].astype(np.float32)
         with pytest.raises(ja.UserError, match=f"{name}.*float32.*jax_enable_x64"):
             epochs_from_arrays(**arrays, **arguments)
-    with pytest.raises(ja.UserError, match="static, body, nav"):
-        epochs_from_arrays(log.dtheta, log.dvel, log.velocity, **{**arguments, "aid": "gps"})
+    with pytest.raises(ja.UserError, match=r"no aid 'gps': did you mean.*body"):
+        epochs_from_arrays(log.dtheta, log.dvel, log.aids[0].value, **{**arguments, "aid": "gps"})
 
 
 def test_what_is_no_method_and_no_log(log):
@@ -150,7 +151,9 @@ def test_logs_with_slightly_different_clocks_share_a_program(log, caplog):
     method = build("oba")
     align(method, log, 100)
     with jax.log_compiles(), caplog.at_level("WARNING"):
-        align(method, dataclasses.replace(log, dt=log.dt * (1 + 2e-7)), 100)
+        faster = 1 + 2e-7
+        aid = dataclasses.replace(log.aids[0], time=log.aids[0].time * faster)
+        align(method, dataclasses.replace(log, dt=log.dt * faster, aids=(aid,)), 100)
     assert not [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
 
 

@@ -13,9 +13,10 @@ import pytest
 
 from experiments.monte_carlo import monte_carlo
 from experiments.page import Page, Table
-from experiments.statistics import Estimate, at, between, compared, few_runs, mean, per_run, rms, share
+from experiments.statistics import at, between, compared, few_runs, mean, per_run, rms, share
 from jaxalign.methods import build
 from jaxalign.simulate import noiseless, scenario
+from jaxalign.tables import Estimate
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = (
@@ -110,7 +111,7 @@ def test_page(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_is_the_same_whatever_else_is_run():
-    methods = {"oba": build("oba", "body"), "halves": build("oba", "body", {"observe.interval_samples": 100})}
+    methods = {"oba": build("oba", "body"), "halves": build("oba", "body", {"front_end.interval_samples": 100})}
     made = scenario("dvl-sturn", duration=12.0)
     found = monte_carlo(made, methods, 3, seed=5, chunk=1)
     assert found["oba"].euler.shape == found["halves"].euler.shape == (3, 12, 3)
@@ -130,7 +131,7 @@ def test_the_size_of_a_chunk_does_not_matter():
 
 @pytest.mark.slow
 def test_monte_carlo_without_an_aid():
-    pairs = build("velocity_q", "static", {"observe.interval_samples": 2})
+    pairs = build("velocity_q", "static", {"front_end.interval_samples": 2})
     errors = monte_carlo(scenario("sway", duration=20.0), {"pairs": pairs}, 2, every={"pairs": 250})["pairs"]
     assert list(errors.time) == [5.0, 10.0, 15.0, 20.0]
     assert np.abs(errors.euler[:, -1, :2]).max() < 0.1  # 500 ug are 0.03 deg
@@ -150,7 +151,7 @@ def test_monte_carlo_with_perfect_sensors():
         (["--runs", "1"], "'1' is not a whole number from 2"),
         (["--seed", "x"], "'x' is not a whole number from 0"),
         (["--nonsense"], "unrecognized arguments: --nonsense"),
-        (["--out", __file__], "is not a folder"),
+        (["--output", __file__], "is not a folder"),
     ],
 )
 def test_bad_arguments_get_one_line(name, arguments, said, capsys):
@@ -165,7 +166,7 @@ def test_bad_arguments_get_one_line(name, arguments, said, capsys):
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_a_quick_run_does_not_overwrite_the_results(name, capsys):
     with pytest.raises(SystemExit) as end:
-        import_module(f"experiments.{name}.__main__").main(["--quick", "--out", str(ROOT / "experiments" / name)])
+        import_module(f"experiments.{name}.__main__").main(["--quick", "--output", str(ROOT / "experiments" / name)])
     assert end.value.code == 2
     assert "full run" in capsys.readouterr().err
 
@@ -173,7 +174,7 @@ def test_a_quick_run_does_not_overwrite_the_results(name, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_experiment(name, tmp_path):
-    command = [sys.executable, "-W", "error", "-m", f"experiments.{name}", "--quick", "--out", str(tmp_path)]
+    command = [sys.executable, "-W", "error", "-m", f"experiments.{name}", "--quick", "--output", str(tmp_path)]
     # Of so few runs nearly all is compilation.
     environment = {**os.environ, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"}
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)

@@ -16,15 +16,16 @@ from log_files import (
     changed,
     constant_files,
     motion,
+    refused,
     swaying_files,
     table,
 )
 
+from jaxalign.aids import AbstractAid
 from jaxalign.io import read
 from jaxalign.io.resample import (
     cumulate_increments,
     cumulate_rates,
-    interpolate_aid,
     nominal_interval,
     onto_grid,
 )
@@ -33,7 +34,7 @@ from jaxalign.io.resample import (
 def test_csv_of_a_swaying_body(tmp_path):
     path, _ = swaying_files(tmp_path)
     log = read(path, columns=MAP)
-    assert (log.epochs, log.aid_every, log.aid, log.name, log.t0) == (12, 100, "body", "imu", 0.0)
+    assert (log.epochs, log.epoch_samples, log.aids[0].name, log.name, log.t0) == (12, 100, "body", "imu", 0.0)
     assert log.dt == pytest.approx(0.01, rel=1e-12)
     np.testing.assert_allclose([log.lat, log.lon], np.radians([LAT_DEG, LON_DEG]), rtol=1e-15)
     # the closed integrals of `motion`; a trapezoid is wrong by dt^3 |second derivative| / 12 a sample
@@ -44,7 +45,7 @@ def test_csv_of_a_swaying_body(tmp_path):
     )
     np.testing.assert_allclose(log.dtheta, np.diff(angle, axis=0), rtol=0, atol=1e-6 * 0.05 / 12 * 1.01)
     np.testing.assert_allclose(log.dvel, np.diff(speed, axis=0), rtol=0, atol=1e-6 * 0.3 / 12 * 1.01)
-    np.testing.assert_allclose(log.velocity, motion(np.arange(13.0))[2], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(log.aids[0].value, motion(np.arange(13.0))[2], rtol=0, atol=1e-12)
 
 
 def test_csv_in_ned_and_frd_is_the_same_log(tmp_path):
@@ -71,7 +72,7 @@ def test_csv_ned_means_east_north_up_out_of_a_nav_aid(tmp_path):
     path = table(tmp_path / "imu.csv", names, [t, np.tile([0.01, 0.02, 0.03], (501, 1)), frd])
     table(tmp_path / "dvl.csv", ["t", "vx", "vy", "vz"], [np.arange(6.0), np.tile([3.0, 4.0, -0.5], (6, 1))])
     log = read(path, columns=changed(MAP | {"frame": "NED/FRD"}, "aid", frame="nav"))
-    np.testing.assert_allclose(log.velocity[2], [4.0, 3.0, 0.5])  # north 3, east 4, down -0.5
+    np.testing.assert_allclose(log.aids[0].value[2], [4.0, 3.0, 0.5])  # north 3, east 4, down -0.5
     np.testing.assert_allclose(log.dtheta[2] / 0.01, [0.02, 0.01, -0.03], rtol=1e-12)
     np.testing.assert_allclose(log.dvel[2] / 0.01, [0.2, 0.1, 9.8], rtol=1e-12)
 
@@ -101,8 +102,8 @@ def test_csv_units_and_kinds_agree(tmp_path, kind, gyro, gyro_size, accel, accel
     log = read(path, columns=changed(spec, "aid", unit="km/h", time_unit="ms", sd=0.03))
     np.testing.assert_allclose(log.dtheta, np.tile(RATE * 0.01, (500, 1)), rtol=1e-11)
     np.testing.assert_allclose(log.dvel, np.tile(FORCE * 0.01, (500, 1)), rtol=1e-11)
-    np.testing.assert_allclose(log.velocity, np.tile([0.5, 1.0, -2.0], (6, 1)), rtol=1e-14)
-    assert log.aid_sd == 0.03
+    np.testing.assert_allclose(log.aids[0].value, np.tile([0.5, 1.0, -2.0], (6, 1)), rtol=1e-14)
+    assert log.aids[0].sd == 0.03
 
 
 @pytest.mark.parametrize("kind", ["rate", "increment"])
@@ -115,14 +116,14 @@ def test_clocks_need_not_coincide(tmp_path, kind):
     )
     log = read(path, columns=spec)
     assert log.t0 == pytest.approx(1000.7, abs=1e-9)
-    assert log.aid_every == 51  # 0.4 s at 128 Hz is 51.2
-    assert log.dt * log.aid_every == pytest.approx(0.4, abs=1e-9)
+    assert log.epoch_samples == 51  # 0.4 s at 128 Hz is 51.2
+    assert log.dt * log.epoch_samples == pytest.approx(0.4, abs=1e-9)
     assert log.epochs == 29
     total = 29 * 0.4
     np.testing.assert_allclose(log.dtheta.sum(axis=0), RATE * total, rtol=1e-9)
     np.testing.assert_allclose(log.dvel.sum(axis=0), FORCE * total, rtol=1e-9)
     np.testing.assert_allclose(log.dvel, np.tile(FORCE * log.dt, (len(log.dvel), 1)), rtol=1e-8)
-    np.testing.assert_allclose(log.velocity[:, 0], 0.01 * aid_t, rtol=1e-9)
+    np.testing.assert_allclose(log.aids[0].value[:, 0], 0.01 * aid_t, rtol=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -172,22 +173,22 @@ def test_a_short_loss_is_bridged_and_told(tmp_path, kind):
     assert "longest 3 after 2.99 s" in log.warnings[0]
 
 
-def test_missing_aid_samples_are_nan_and_neighbours_interpolate(tmp_path):
-    aid_t = np.array([0.25, 1.25, 2.25, 5.25, 6.25, 7.30, 8.25, 9.25])
+def test_missing_aid_samples_are_nan_where_the_clock_is_even(tmp_path):
+    aid_t = np.array([0.25, 1.25, 2.25, 5.25, 6.25, 7.25, 8.25, 9.25])
     path = constant_files(tmp_path, np.arange(1101) * 0.01, aid_t)
     log = read(path, columns=changed(MAP, "aid", interval=1.0))
     assert log.t0 == pytest.approx(0.25)
-    assert list(np.flatnonzero(log.missing)) == [3, 4]
-    known = ~log.missing
-    np.testing.assert_allclose(log.velocity[known, 0], 0.01 * (0.25 + np.arange(10.0))[known], rtol=1e-12)
+    (one,) = log.aids
+    assert list(np.flatnonzero(one.missing)) == [3, 4]
+    np.testing.assert_allclose(one.value[~one.missing, 0], 0.01 * (0.25 + np.arange(10.0))[~one.missing], rtol=1e-12)
 
 
-def test_interpolation_of_the_aid_ends_with_its_record():
-    t = np.array([1.0, 2.0, 3.4, 5.0])
-    v = np.column_stack([t, 2 * t, -t])
-    out = interpolate_aid(t, v, np.array([0.5, 1.0, 1.5, 2.7, 3.4, 4.0, 5.0, 5.5]), 1.0)
-    np.testing.assert_allclose(out[[1, 2, 3, 4, 6], 0], [1.0, 1.5, 2.7, 3.4, 5.0])
-    assert np.isnan(out[[0, 5, 7]]).all()
+def test_an_aid_keeps_its_own_times(tmp_path):
+    aid_t = np.array([0.25, 1.25, 2.25, 3.29, 5.25, 6.25, 7.303, 8.25, 9.25])
+    path = constant_files(tmp_path, np.arange(1101) * 0.01, aid_t)
+    (one,) = read(path, columns=changed(MAP, "aid", interval=1.0)).aids
+    np.testing.assert_allclose(one.time, aid_t - 0.25, atol=1e-12)
+    np.testing.assert_allclose(one.value[:, 0], 0.01 * aid_t, rtol=1e-12)
 
 
 def test_nominal_interval_counts_lost_stamps():
@@ -210,9 +211,10 @@ def test_aid_in_the_same_file_with_empty_cells(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("\n\n".join(lines) + "\n")
     log = read(path)  # default names
-    assert (log.aid, log.epochs) == ("body", 10)
-    assert list(np.flatnonzero(log.missing)) == [3]
-    np.testing.assert_allclose(log.velocity[[1, 5]], [[1, 2, 0.5], [5, 2, 0.5]])
+    assert (log.aids[0].name, log.epochs) == ("body", 10)
+    assert log.aids[0].partial
+    assert list(np.argwhere(np.isnan(log.aids[0].value))[0]) == [3, 2]
+    np.testing.assert_allclose(log.aids[0].value[[1, 5]], [[1, 2, 0.5], [5, 2, 0.5]])
     assert log.lat == pytest.approx(np.radians(LAT_DEG))
     np.testing.assert_allclose(log.dtheta, np.tile(RATE * 0.01, (1000, 1)), rtol=1e-11)
 
@@ -227,7 +229,7 @@ def test_a_file_without_aid_is_static_and_a_map_beside_it_is_found(tmp_path):
         "epoch = 0.5\n[site]\nlat = 0.5\n"
     )
     log = read(path)
-    assert (log.aid, log.aid_every, log.epochs, log.lat) == ("static", 50, 12, 0.5)
+    assert (log.standing, log.epoch_samples, log.epochs, log.lat) == (True, 50, 12, 0.5)
     assert log.dt == pytest.approx(0.01, rel=1e-12)
     assert_same(read(path, columns=tmp_path / "run.toml"), log)
 
@@ -256,4 +258,58 @@ def test_sixty_thousand_rows_are_read_fast(tmp_path):
     start = time.perf_counter()
     log = read(path, columns=MAP)
     assert time.perf_counter() - start < 3.0  # about 0.2 s; two workers may share the core
-    assert (log.epochs, log.aid_every) == (300, 200)
+    assert (log.epochs, log.epoch_samples) == (300, 200)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Coil(AbstractAid):
+    """Three components that are no velocity, in a unit of its own."""
+
+    turns: int = 1
+
+    kind = "coil-of-test-csv"
+    unit = "uT"
+
+    @property
+    def components(self):
+        return "x", "y", "z"
+
+    def predict(self, motion, unknowns):
+        return self.turns * motion.axes[0]
+
+
+def test_an_aid_of_ones_own_is_in_its_unit_and_not_turned(tmp_path):
+    path, _ = swaying_files(tmp_path)
+    columns = {"file": "dvl.csv", "values": ["vx", "vy", "vz"], "kind": Coil.kind, "turns": 3, "axes": "NED/FRD"}
+    log = read(path, columns=MAP | {"aid": columns})
+    assert log.aids[0].aid == Coil(turns=3)
+    np.testing.assert_allclose(log.aids[0].value, motion(np.arange(13.0))[2], atol=1e-12)
+    for wrong, words in (
+        ({"unit": "m/s"}, ["unit = 'm/s'", "uT"]),
+        ({"turn": 2}, ["unknown key 'turn'", "mean 'turns'"]),
+        ({"turns": {"a": 1}}, ["must be names, numbers or tuples"]),
+        ({"name": ["coil"]}, ["a text is expected"]),
+        ({"kind": "body", "components": 1, "turns": None}, ["components are 1"]),
+        ({"kind": "static"}, ["has no values", "leave the table out"]),
+    ):
+        changed_map = {key: x for key, x in (columns | wrong).items() if x is not None}
+        refused(path, *words, columns=MAP | {"aid": changed_map})
+    refused(path, "values is missing", columns=MAP | {"aid": {"kind": "non-holonomic", "file": "slip.csv"}})
+    refused(path, "unknown key 'kidn'", "mean 'kind'", columns=MAP | {"aid": {"kidn": "body"}})
+
+
+def test_deviations_are_in_the_order_of_the_columns(tmp_path):
+    path, _ = swaying_files(tmp_path)
+    stated = changed(MAP, "aid", sd=[0.1, 0.2, 0.3], axes="NED/FRD")
+    np.testing.assert_array_equal(read(path, columns=stated).aids[0].sd, [0.2, 0.1, 0.3])
+    np.testing.assert_array_equal(
+        read(path, columns=changed(MAP, "aid", sd=[0.1, 0.2, 0.3])).aids[0].sd, [0.1, 0.2, 0.3]
+    )
+
+
+def test_named_components_go_by_their_names(tmp_path):
+    """Also where the axes of the file are others: only the sense of "up" turns."""
+    path, _ = swaying_files(tmp_path)
+    plain = read(path, columns=MAP).aids[0].value
+    named = changed(MAP, "aid", axes="NED/FRD", components=["right", "forward", "up"])
+    np.testing.assert_array_equal(read(path, columns=named).aids[0].value, plain * [1.0, 1.0, -1.0])

@@ -22,26 +22,26 @@ def line(path, number):
 MAPS = {
     "column": (
         changed(MAP, "imu", gyro=["wx", "wy", "w_z"]),
-        ["no column 'w_z'", "mean 'wz'", "has t, wx, wy, wz, fx"],
+        ["no column 'w_z'", "mean 'wz'", "known: t, wx, wy, wz, fx"],
     ),
     "aid column": (
         changed(MAP, "aid", velocity=["vx", "vy", "v"]),
-        ["dvl.csv", "no column 'v'", "has t, vx, vy, vz"],
+        ["dvl.csv", "no column 'v'", "known: t, vx, vy, vz"],
     ),
     "aid file": (changed(MAP, "aid", file="gps.csv"), ["gps.csv", "no such aid file"]),
     "unknown key": (changed(MAP, "imu", gyros_unit="deg/s"), ["[imu]", "'gyros_unit'", "mean 'gyro_unit'"]),
     "unknown section": (MAP | {"sites": {}}, ["unknown key 'sites'", "mean 'site'"]),
     "unit": (
         changed(MAP, "imu", gyro_unit="deg/sec"),
-        ["[imu]", "gyro_unit is 'deg/sec'", "mean 'deg/s'", "rad/s"],
+        ["[imu]", "gyro_unit = 'deg/sec'", "mean 'deg/s'", "rad/s"],
     ),
     "unit of the kind": (
         changed(MAP, "imu", kind="increment", gyro_unit="deg/s"),
-        ["gyro_unit is 'deg/s'", "rad, deg, arcsec"],
+        ["gyro_unit = 'deg/s'", "rad, deg, arcsec"],
     ),
-    "kind": (changed(MAP, "imu", kind="increments"), ["kind is 'increments'", "mean 'increment'"]),
-    "frame": (MAP | {"frame": "FRD"}, ["frame is 'FRD'", "ENU/RFU, NED/FRD"]),
-    "aid frame": (changed(MAP, "aid", frame="ned"), ["[aid]", "frame is 'ned'", "body, nav"]),
+    "kind": (changed(MAP, "imu", kind="increments"), ["kind = 'increments'", "mean 'increment'"]),
+    "frame": (MAP | {"frame": "FRD"}, ["frame = 'FRD'", "ENU/RFU, NED/FRD"]),
+    "aid frame": (changed(MAP, "aid", frame="ned"), ["[aid]", "frame = 'ned'", "body, nav"]),
     "aid frame missing": (changed(MAP, "aid", frame=None), ["[aid]", "frame is missing"]),
     "three columns": (changed(MAP, "imu", accel=["fx", "fy"]), ["accel", "three column names"]),
     "time missing": (changed(MAP, "imu", time=None), ["[imu]", "time is missing"]),
@@ -55,7 +55,7 @@ MAPS = {
     "time unit": (changed(MAP, "imu", time_unit="us"), ["1e-08 s", "time_unit"]),
     "time offset": (
         changed(MAP, "aid", time_offset=500.0),
-        ["no aid sample within", "IMU 0 to 12", "aid 500 to 512"],
+        ["no body sample within", "IMU 0 to 12", "body 500 to 512"],
     ),
     "interval": (changed(MAP, "aid", interval=0.001), ["0.001 s", "closer than the IMU"]),
     "g": (changed(MAP, "imu", accel_unit="g"), ["|f| = 96", "expected about 9.8"]),

@@ -4,11 +4,11 @@ import time
 import numpy as np
 import pytest
 from log_files import assert_same, refused
+from logs import log_of
 from scipy.spatial.transform import Rotation
 
 from jaxalign.errors import UserError
 from jaxalign.io import read, write_npz
-from jaxalign.log import Log
 
 
 def sample_log(**changes):
@@ -17,7 +17,7 @@ def sample_log(**changes):
         "dtheta": 1e-4 * rng.standard_normal((2000, 3)),
         "dvel": np.array([0, 0, 0.098]) + 1e-4 * rng.standard_normal((2000, 3)),
         "dt": 0.01,
-        "aid_every": 100,
+        "epoch_samples": 100,
         "aid": "body",
         "velocity": rng.standard_normal((21, 3)),
         "lat": 0.5,
@@ -29,7 +29,7 @@ def sample_log(**changes):
         "name": "sample",
     }
     base["velocity"][3] = np.nan
-    return Log(**(base | changes))
+    return log_of(**(base | changes))
 
 
 @pytest.mark.parametrize(
@@ -53,9 +53,9 @@ def test_npz_round_trip_is_exact(tmp_path, changes):
 
 def test_aid_sd_given_replaces_the_files(tmp_path):
     write_npz(sample_log(), tmp_path / "a.npz")
-    assert read(tmp_path / "a.npz").aid_sd == 0.02
-    assert read(tmp_path / "a.npz", aid_sd=0.1).aid_sd == 0.1
-    refused(tmp_path / "a.npz", "aid_sd is -1", aid_sd=-1.0)
+    assert read(tmp_path / "a.npz").aids[0].sd == 0.02
+    assert read(tmp_path / "a.npz", aid_sd=0.1).aids[0].sd == 0.1
+    refused(tmp_path / "a.npz", "sd is -1", aid_sd=-1.0)
 
 
 def test_npz_names_all_missing_keys_at_once(tmp_path):
@@ -74,7 +74,7 @@ def npz_with(path, **changes):
 def test_npz_with_bad_content(tmp_path):
     path = tmp_path / "a.npz"
     refused(npz_with(path, aid_frame="gnss"), "aid_frame is 'gnss'", "static, body, nav")
-    refused(npz_with(path, aid_v=np.zeros((20, 3))), "velocity has shape (20, 3)", "(21, 3) is expected")
+    refused(npz_with(path, aid_v=np.zeros((20, 3))), "aid_v has shape (20, 3)", "(21, 3) is expected")
     refused(npz_with(path, lat=32.0), "a: latitude is 32 rad", "degrees")
     refused(npz_with(path, dvel=np.array([{}])), "not an .npz archive of plain arrays")
     good = sample_log()
@@ -169,7 +169,7 @@ def test_psins_scale_factors(tmp_path):
     arcsec = np.pi / 648000
     np.testing.assert_allclose(log.dtheta[7], np.array([0.1, -0.4, 0.9]) * arcsec, rtol=1e-14)
     np.testing.assert_allclose(log.dvel[7], np.array([500e-6, -1250e-6, 0.01]) * 9.780327, rtol=1e-14)
-    assert (log.aid, log.velocity, log.dt, log.aid_every, log.epochs) == ("static", None, 0.01, 100, 5)
+    assert (log.aids, log.dt, log.epoch_samples, log.epochs) == ((), 0.01, 100, 5)
     assert (log.t0, log.h) == (2.5, 380.0)
     np.testing.assert_allclose([log.lat, log.lon], np.radians([34.5, 108.9]), rtol=1e-15)
     assert_same(read(psins(tmp_path / "b.txt", ["1 -2 3 4 -5 80"] * 500)), dataclasses.replace(log, name="b"))
@@ -197,7 +197,7 @@ def test_psins_equals_its_npz_on_a_real_log(shared):
     np.testing.assert_allclose(log.dtheta, other.dtheta, rtol=0, atol=1e-15)
     np.testing.assert_allclose(log.dvel, other.dvel, rtol=0, atol=1e-15)
     assert (log.lat, log.lon, log.h, log.epochs) == (other.lat, other.lon, other.h, other.epochs)
-    assert (log.aid, other.aid) == ("static", "nav")
+    assert (log.standing, other.aids[0].name) == (True, "nav")
 
 
 def test_frozen_cases_are_read(shared):
@@ -205,4 +205,4 @@ def test_frozen_cases_are_read(shared):
         for path in sorted((shared / "cases").glob(pattern)):
             log = read(path)
             assert log.warnings == (), path
-            assert log.aid == ("body" if pattern == "dvl_*" else "nav")
+            assert log.aids[0].name == ("body" if pattern == "dvl_*" else "nav")

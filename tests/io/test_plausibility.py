@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from logs import DT, EVERY, GOOD, LAT, fields, message, static
+from logs import DT, EVERY, GOOD, LAT, fields, log_of, message, static
 
 from jaxalign.earth import EARTH_RATE
 from jaxalign.errors import UserError
 from jaxalign.io import read
-from jaxalign.log import Log
 
 UNITS = {
     "in g": (1 / 9.80665, "in g?"),
@@ -41,13 +40,13 @@ AXES = {
 @pytest.mark.parametrize("case", AXES)
 def test_swapped_axes_are_a_warning(case):
     turn, part = AXES[case]
-    log = Log(**fields(dtheta=GOOD["dtheta"] @ turn.T, dvel=GOOD["dvel"] @ turn.T))
+    log = log_of(**fields(dtheta=GOOD["dtheta"] @ turn.T, dvel=GOOD["dvel"] @ turn.T))
     assert len(log.warnings) == 1
     assert part in log.warnings[0]
 
 
 def test_scale_of_the_accelerometers_is_a_warning():
-    assert "+10 % off gravity" in Log(**fields(dvel=GOOD["dvel"] * (1.1 * 9.80665 / 9.8))).warnings[0]
+    assert "+10 % off gravity" in log_of(**fields(dvel=GOOD["dvel"] * (1.1 * 9.80665 / 9.8))).warnings[0]
 
 
 # --- gyroscopes in a wrong unit ---
@@ -77,7 +76,7 @@ def swaying(seconds=120.0, arm=0.0, hz=0.1, sensed=1.0, amplitude=0.1, seed=0):
 def test_a_swaying_vehicle_shows_gyros_in_a_wrong_unit(kind, factor, part):
     motion = swaying()
     aid = {"aid": kind} | ({"velocity": None} if kind == "static" else {})
-    assert Log(**fields(**(motion | aid))).warnings == ()
+    assert log_of(**fields(**(motion | aid))).warnings == ()
     text = message(**(motion | aid | {"dtheta": motion["dtheta"] * factor}))
     assert f"about 57.3 times {part}" in text
 
@@ -85,13 +84,13 @@ def test_a_swaying_vehicle_shows_gyros_in_a_wrong_unit(kind, factor, part):
 @pytest.mark.parametrize(("factor", "part"), [(57.29578, "too large"), (1 / 57.29578, "too small")])
 def test_a_standing_vehicle_shows_gyros_in_a_wrong_unit(factor, part):
     changes = {key: np.tile(GOOD[key], (2, 1)) for key in ("dtheta", "dvel")} | {"C_nb": None}
-    assert Log(**static(**changes)).warnings == ()
+    assert log_of(**static(**changes)).warnings == ()
     changes["dtheta"] = changes["dtheta"] * factor
     with pytest.raises(UserError, match=rf"57\.3 times {part} for the Earth's rotation"):
-        Log(**static(**changes))
+        log_of(**static(**changes))
     # the same numbers from a vehicle that may be turning prove nothing
     moving = fields(**changes, velocity=np.ones((41, 3)))
-    assert Log(**moving).warnings == ()
+    assert log_of(**moving).warnings == ()
 
 
 @pytest.mark.parametrize(("factor", "part"), [(57.29578, "too large"), (1 / 57.29578, "too small")])
@@ -103,13 +102,13 @@ def test_a_turning_car_shows_gyros_in_a_wrong_unit(factor, part):
     velocity = 10 * np.column_stack([-np.sin(course), np.cos(course), 0 * course])[::EVERY]
     dvel = np.tile([0, 0, 9.8 * DT], (len(dtheta), 1))  # flat: no witness in the accelerometers
     car = {"dtheta": dtheta, "dvel": dvel, "aid": "nav", "velocity": velocity, "C_nb": None}
-    assert Log(**fields(**car)).warnings == ()
+    assert log_of(**fields(**car)).warnings == ()
     assert f"57.3 times {part} for the change of course" in message(**(car | {"dtheta": dtheta * factor}))
 
 
 def test_gyros_against_the_accelerometers_are_a_warning():
     motion = swaying()
-    log = Log(**fields(**(motion | {"dtheta": -motion["dtheta"]})))
+    log = log_of(**fields(**(motion | {"dtheta": -motion["dtheta"]})))
     assert ["turn against" in text for text in log.warnings] == [True]
 
 
@@ -124,7 +123,7 @@ def test_gyros_against_the_accelerometers_are_a_warning():
     ],
 )
 def test_where_it_cannot_be_known_nothing_is_said(motion):
-    assert Log(**fields(**swaying(**motion))).warnings == ()
+    assert log_of(**fields(**swaying(**motion))).warnings == ()
 
 
 @settings(max_examples=30, deadline=None)
@@ -141,7 +140,7 @@ def test_bias_noise_and_pushes_raise_no_unit_alarm(bias, noise, push, seed):
     slow = np.repeat(rng.standard_normal((n // 500, 3)), 500, axis=0) * push * DT
     motion["dtheta"] = motion["dtheta"] + np.array(bias) * DT + noise * rng.standard_normal((n, 3))
     motion["dvel"] = motion["dvel"] + slow
-    assert Log(**fields(**motion)).epochs == 120
+    assert log_of(**fields(**motion)).epochs == 120
 
 
 def logs(shared):

@@ -9,22 +9,12 @@ import pytest
 import scipy.signal
 
 from jaxalign import UserError, align, epochs_from_log, with_parameters
+from jaxalign.inertial_unit import ImuErrors
 from jaxalign.methods import build
 from jaxalign.metrics import attitude_error_deg
-from jaxalign.prefilter import (
-    PREFILTERS,
-    Fir,
-    Vondrak,
-    Wavelet,
-    changes_db,
-    filtered_force,
-    misfit,
-    multitaper,
-    printed,
-    reconstructed,
-    vondrak,
-)
-from jaxalign.simulate import Scenario, SineForce, accel_errors, scenario, simulate
+from jaxalign.prefilter import PREFILTERS, Fir, Vondrak, Wavelet, filtered_force, misfit, multitaper, vondrak
+from jaxalign.published.objectives import changes_db, printed, reconstructed
+from jaxalign.simulate import Scenario, SineForce, scenario, simulate
 
 DT = 0.005
 
@@ -200,7 +190,11 @@ def shaken(**options) -> Scenario:
     """A rocking base (10 deg sway) whose force is shaken by 10 mg as well."""
     made = scenario("sway", duration=100.0)
     return dataclasses.replace(
-        made, accel=accel_errors(0.0), force=SineForce.of_mg(10.0, frequency=(3.3, 11.1)), name="rocking", **options
+        made,
+        imu=ImuErrors(made.imu.gyro),
+        force=SineForce.of_mg(10.0, frequency=(3.3, 11.1)),
+        name="rocking",
+        **options,
     )
 
 
@@ -237,9 +231,9 @@ def test_by_name_in_front_of_a_method(name):
     assert set(PREFILTERS) == {"vondrak", "fir", "wavelet"}
     pytest.importorskip("pywt")
     log = simulate("disturbed", seed=1, duration=60.0, condition=2, amplitude_mg=10.0)
-    method = build("dual_vector", parameters={"prefilter.frame": "body", "vectors": "boxcar"}, prefilter=name)
-    assert isinstance(method.prefilter, PREFILTERS[name])
-    assert method.prefilter.frame == "body"
+    method = build("dual_vector", parameters={"front_end.prefilter.frame": "body", "vectors": "boxcar"}, prefilter=name)
+    assert isinstance(method.front_end.prefilter, PREFILTERS[name])
+    assert method.front_end.prefilter.frame == "body"
     error = attitude_error_deg(align(method, log, every=600), log)[-1]
     assert np.abs(error[:2]).max() < 0.02
     noise = float(align(method, log, every=600).aid_sd[-1])
@@ -251,14 +245,14 @@ def test_by_name_in_front_of_a_method(name):
     [
         (lambda: build("oba", "body", prefilter="vondrak"), "smooths the force of a standing vehicle"),
         (lambda: build("triad", prefilter="vondark"), "did you mean vondrak"),
-        (lambda: with_parameters(build("triad"), {"prefilter.cutoff": 1}), "there is no prefilter to set"),
+        (lambda: with_parameters(build("triad"), {"front_end.prefilter.cutoff": 1}), "there is no prefilter to set"),
         (lambda: with_parameters(Fir(), {"cutoff": 3.0}), "outside its bounds 0.2 .. 1 Hz"),
         (lambda: Fir()(jnp.ones((500, 3)), 1.0), "at least 4 Hz"),
         (lambda: Wavelet(wavelet="sinc"), "orthogonal"),
         (lambda: Wavelet(cutoff=0.0), "cutoff"),
         (lambda: Wavelet()(jnp.ones((500, 3)), DT), "too short for 8 levels of db4: it takes at least 9.0 s"),
         (lambda: filtered_force(Vondrak(), np.ones((3, 3)), np.ones((3, 3)), DT), "at least 4 samples"),
-        (lambda: filtered_force(Vondrak(frame="earth"), np.ones((9, 3)), np.ones((9, 3)), DT), "'inertial' or 'body'"),
+        (lambda: filtered_force(Vondrak(frame="earth"), np.ones((9, 3)), np.ones((9, 3)), DT), "one of inertial, body"),
         (lambda: multitaper(np.ones(100), DT, 4.0, 9), "1 to 2 NW"),
         (lambda: misfit(np.arange(5.0), np.ones(5), np.ones(5), 9.0), "split"),
         (lambda: epochs_from_log(simulate("dvl-sturn", 1, duration=5.0), prefilter=Fir()), "standing vehicle"),

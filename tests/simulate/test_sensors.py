@@ -4,35 +4,39 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from logs import with_noise
 from scipy import stats
 from statistical import assert_rate, assert_variance
 
 from jaxalign.earth import STANDARD_GRAVITY, Site
+from jaxalign.inertial_unit import AccelErrors, GyroErrors
 from jaxalign.simulate import (
     FixedOutliers,
     JumpOutliers,
     Scenario,
     SegmentOutliers,
+    SimulatedAid,
     SineForce,
-    TriadErrors,
-    accel_errors,
-    aid_velocity,
-    gyro_errors,
+    aid_values,
+    draw_bias,
     measure,
     scenario,
     simulate,
     static_base,
     truth,
 )
+from jaxalign.simulate.sensors import triad_increments
 
 DEG_H = np.pi / 180 / 3600
 UG = STANDARD_GRAVITY * 1e-6
 
 
 @eqx.filter_jit
-def increments(errors, key, count, dt):
+def increments(errors, key, count, dt, kind="sign"):
     """One program instead of one for each of its operations."""
-    return errors.increments(key, count, dt)
+    if isinstance(errors, SineForce):
+        return errors.increments(key, count, dt)
+    return triad_increments(errors, kind, key, count, dt)
 
 
 # --- inertial sensors -------------------------------------------------------------------------------------
@@ -42,9 +46,9 @@ def increments(errors, key, count, dt):
 def test_noise_of_increments(dt):
     """A density d gives increments of variance d^2 dt, a deviation s per sample s^2 dt^2; white, normal."""
     key, n = jax.random.key(3), 20000
-    walk = gyro_errors(walk_deg_sqrt_h=0.6)
-    per_sample = accel_errors(noise_ug=500.0)
-    both = TriadErrors(density=3.0, sample_sd=4.0)
+    walk = GyroErrors(walk_deg_sqrt_h=0.6)
+    per_sample = AccelErrors(noise_ug=500.0)
+    both = AccelErrors(density_ug_sqrt_hz=3.0 / UG, noise_ug=4.0 / UG)
     cases = [
         (walk, np.deg2rad(0.6) / 60 * np.sqrt(dt)),
         (per_sample, 500 * UG * dt),
@@ -61,9 +65,9 @@ def test_noise_of_increments(dt):
 
 def test_angle_random_walk_over_an_hour():
     """0.005 deg/sqrt(h): the sum over one hour has a deviation of 0.005 deg."""
-    errors = gyro_errors(walk_deg_sqrt_h=0.005)
+    errors = GyroErrors(walk_deg_sqrt_h=0.005)
     keys = jax.random.split(jax.random.key(0), 300)
-    angle = jax.jit(jax.vmap(lambda k: errors.increments(k, 3600, 1.0).sum(0)))(keys)
+    angle = jax.jit(jax.vmap(lambda k: increments(errors, k, 3600, 1.0).sum(0)))(keys)
     assert_variance(np.rad2deg(np.asarray(angle)), 0.005)
 
 
@@ -72,7 +76,7 @@ def test_bias_kinds():
     size = np.array([0.02, 0.03, 0.04]) * DEG_H
 
     def draw(kind):
-        return np.asarray(jax.jit(jax.vmap(gyro_errors([0.02, 0.03, 0.04], kind=kind).draw_bias))(keys))
+        return np.asarray(jax.jit(jax.vmap(lambda key: draw_bias(GyroErrors([0.02, 0.03, 0.04]), kind, key)))(keys))
 
     sign, gaussian, fixed = draw("sign"), draw("gaussian"), draw("fixed")
     np.testing.assert_allclose(np.abs(sign), np.tile(size, (2000, 1)), rtol=1e-12)
@@ -84,12 +88,25 @@ def test_bias_kinds():
 
 
 def test_bias_enters_every_increment():
-    errors = accel_errors(50.0, kind="fixed")
-    np.testing.assert_allclose(increments(errors, jax.random.key(0), 4, 0.005), 50 * UG * 0.005, rtol=1e-12)
-    noisy = accel_errors(50.0, density_ug_sqrt_hz=1.0)
+    errors = AccelErrors(50.0)
+    np.testing.assert_allclose(increments(errors, jax.random.key(0), 4, 0.005, "fixed"), 50 * UG * 0.005, rtol=1e-12)
+    noisy = AccelErrors(50.0, density_ug_sqrt_hz=1.0)
     key = jax.random.key(5)
     mean = np.asarray(increments(noisy, key, 40000, 0.005)).mean(0) / 0.005
-    np.testing.assert_allclose(mean, noisy.draw_bias(jax.random.split(key)[0]), atol=5 * UG / np.sqrt(200.0))
+    np.testing.assert_allclose(mean, draw_bias(noisy, "sign", jax.random.split(key)[0]), atol=5 * UG / np.sqrt(200.0))
+
+
+def test_bias_that_wanders():
+    """60 deg/h/sqrt(h) are 1 deg/h/sqrt(s): after 100 s its changes have 10 deg/h, without memory of each other."""
+    errors, dt = GyroErrors(bias_walk_deg_h_sqrt_h=[60.0, 120.0, 0.0]), 0.1
+    keys = jax.random.split(jax.random.key(2), 400)
+    rate = np.asarray(jax.jit(jax.vmap(lambda k: increments(errors, k, 2001, dt)))(keys)) / dt / DEG_H
+    np.testing.assert_allclose(rate[:, 0], 0.0, atol=1e-12)
+    for axis, size in ((0, 10.0), (1, 20.0)):
+        first, second = rate[:, 1000, axis], rate[:, 2000, axis] - rate[:, 1000, axis]
+        assert_variance(np.concatenate([first, second]), size)
+        assert abs(np.mean(first * second)) / size**2 < 4.5 / np.sqrt(len(keys))
+    assert (rate[:, :, 2] == 0).all()
 
 
 def test_sine_force():
@@ -116,8 +133,8 @@ def test_frozen_disturbance(shared):
     z = np.load(shared / "cases" / "disturbed_align_c2_10mg.npz")
     setting = scenario("disturbed", condition=2, amplitude_mg=10.0, noise_per="density", duration=60.0)
     t = truth(setting)
-    dtheta, dvel, velocity = eqx.filter_jit(measure)(t, setting, jax.random.key(1))
-    assert velocity is None
+    dtheta, dvel, values = eqx.filter_jit(measure)(t, setting, jax.random.key(1))
+    assert values == ()
     np.testing.assert_allclose(t.C_nb, z["C_nb_true"], atol=1e-14)
     frequency, dt = np.array([1, 5, 10, 20, 50]), 0.005
     middle = (np.arange(12000) + 0.5) * dt
@@ -206,21 +223,22 @@ def test_jump_outliers():
 @pytest.mark.exact
 def test_gaps_and_composition():
     setting = scenario("dvl-sturn", outliers="fixed", gaps=((30, 40), (100.5, 102)), duration=150.0)
-    velocity = simulate(setting, 1).velocity
+    velocity = simulate(setting, 1).aids[0].value
     missing = np.isnan(velocity)
     assert np.array_equal(missing.any(1), missing.all(1))
     assert np.flatnonzero(missing[:, 0]).tolist() == [*range(30, 41), 101, 102]
-    without = simulate("dvl-sturn", 1, outliers="fixed", duration=150.0).velocity
+    without = simulate("dvl-sturn", 1, outliers="fixed", duration=150.0).aids[0].value
     np.testing.assert_array_equal(velocity[~missing], without[~missing])
 
 
 def test_two_faults_draw_independently():
     """Two of the same kind on one aid: both at a quarter of the epochs, not at half of them."""
     faults = (FixedOutliers(0.5, 1e3), FixedOutliers(0.5, 1e3))
-    setting = Scenario(static_base(), Site(0.5), aid_sd=1.0, faults=faults, duration=2000.0, imu_rate=1.0, aid_every=1)
+    aids = (SimulatedAid("body", 1.0, faults),)
+    setting = Scenario(static_base(), Site(0.5), aids=aids, duration=2000.0, imu_rate=1.0, epoch_samples=1)
     key, exact = jax.random.key(4), truth(setting)
-    velocity = eqx.filter_jit(aid_velocity)
-    base = np.asarray(velocity(exact, eqx.tree_at(lambda s: s.faults, setting, ()), key))
-    factor = np.round(np.log10(np.asarray(velocity(exact, setting, key)) / base)[1:, 0])
+    velocity = eqx.filter_jit(aid_values)
+    base = np.asarray(velocity(exact, with_noise(setting, faults=()), key)[0])
+    factor = np.round(np.log10(np.asarray(velocity(exact, setting, key)[0]) / base)[1:, 0])
     for exponent, probability in ((0, 0.25), (3, 0.5), (6, 0.25)):
         assert_rate((factor == exponent).sum(), 2000, probability)

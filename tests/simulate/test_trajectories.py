@@ -13,15 +13,16 @@ from scipy.spatial.transform import Rotation
 from jaxalign.earth import Site
 from jaxalign.errors import UserError
 from jaxalign.simulate import (
-    BodyVelocity,
     Constant,
     Ramps,
     Scenario,
     Sines,
     Steps,
     Trajectory,
+    VelocityInBody,
     accelerate_and_turn,
     exact_increments,
+    road,
     s_turn,
     scenario,
     specific_force,
@@ -109,6 +110,7 @@ CLOSURE = {
     "sway_underway": (sway_underway(), 200.0),
     "zigzag": (zigzag(), 100.0),
     "zigzag_sway": (zigzag(sway=True), 100.0),
+    "road": (road(), 250.0),
 }
 
 
@@ -116,7 +118,7 @@ CLOSURE = {
 def truth_of(name):
     """300 s with an epoch every pair of samples."""
     trajectory, rate = CLOSURE[name]
-    made = Scenario(trajectory, Site(0.56, 2.07, 30.0), imu_rate=rate, aid_every=2, duration=300.0)
+    made = Scenario(trajectory, Site(0.56, 2.07, 30.0), imu_rate=rate, epoch_samples=2, duration=300.0)
     return jax.tree.map(np.asarray, truth(made))
 
 
@@ -163,7 +165,7 @@ def vibration():
         Sines(0.1, 10.0),
         Sines(0.2, 9.0, 1.0),
         Sines(0.3, 8.0, 2.0, 1.0),
-        BodyVelocity(Sines(0.1, 10.0), Sines(0.2, 9.0, 0.3), Constant()),
+        VelocityInBody(Sines(0.1, 10.0), Sines(0.2, 9.0, 0.3), Constant()),
     )
 
 
@@ -252,7 +254,7 @@ def test_truth_is_differentiable_in_the_trajectory():
 
 
 def test_breaks_inside_a_sample_are_refused():
-    v = BodyVelocity(Constant(), Ramps(1.0, 0.0, 1.0003), Constant())
+    v = VelocityInBody(Constant(), Ramps(1.0, 0.0, 1.0003), Constant())
     trajectory = Trajectory(Constant(), Constant(), Constant(), v)
     with pytest.raises(UserError, match=r"slope jumps at 1\.0003 s"):
         truth(Scenario(trajectory, Site(0.5), duration=2.0))
@@ -341,7 +343,7 @@ def pair_sum(x):
 def test_frozen_noise_free_increments(shared, name, case, options):
     """Rotation increments to 1e-13 rad; velocity increments once the gravity formula is allowed for."""
     z = np.load(shared / "cases" / f"{case}.npz")
-    setting = dataclasses.replace(scenario(name, **options), aid_every=1)
+    setting = dataclasses.replace(scenario(name, **options), epoch_samples=1)
     t = truth(setting)
     np.testing.assert_allclose(t.dtheta, z["dtheta"], atol=1e-13)
     middle = (np.asarray(t.C_nb[1:]) + np.asarray(t.C_nb[:-1])) / 2

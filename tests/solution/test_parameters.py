@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxalign.errors import UserError
-from jaxalign.methods import RECIPES, build
+from jaxalign.methods import RECIPES, build, build_for
 from jaxalign.parametrization import parameters, tunable, with_parameters
 
 
@@ -244,11 +244,20 @@ def test_recipes_round_trip(name, aid):
     [
         (("obaa",), "no method 'obaa': did you mean .*oba"),
         (("zzz",), "no method 'zzz': there are triad, dual_vector"),
-        (("oba", "radar"), "oba does not take a 'radar' aid, only body, nav, static"),
+        (("oba", "radar"), "no aid 'radar': did you mean"),
+        (("roba", "static"), "roba does not take static .*, only body, nav"),
         (("oba", "body", {"observe.windw": 3}), r"no parameter 'observe.windw' .* did you mean observe\.window"),
         (("oba", "body", {"observe.window": -3}), r"observe\.window = -3.*: must be a number of seconds"),
-        (("oba", "body", {"observe.coriolis": "open"}), "observe.coriolis = 'open': must be one of closed, recursive"),
-        (("oba", "body", {"observe.interval_samples": 0}), "observe.interval_samples = 0: must be at least 1"),
+        (("roba", "body", {"weight.residual": "open"}), "weight.residual = 'open': must be one of vector, norm"),
+        (
+            ("oba", "body", {"observe.coriolis": "closed"}),
+            "observe.coriolis is no option of oba .*leave it out:",
+        ),
+        (("dual_vector", "static", {"vectors": "rls"}), "vectors = 'rls' .* take dual_vector_as_published"),
+        (
+            ("oba", "body", {"front_end.interval_samples": 0}),
+            "interval_samples = 0: must be a whole number of IMU samples",
+        ),
     ],
 )
 def test_build_refuses_in_one_line(arguments, message):
@@ -257,8 +266,34 @@ def test_build_refuses_in_one_line(arguments, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        (
+            "oba",
+            {"windw": 3.0},
+            r"oba has no option 'windw': did you mean 'window'\? \(known: ",
+        ),
+        ("gravity_q", {"vectors": "integrated"}, "gravity_q: .* multiple values for .* 'vectors'"),
+        ("robust_map", {"heading": 3}, "robust_map has no option 'heading': did you mean 'headings'"),
+        ("oba", {"window": -1.0}, r"observe\.window = -1"),
+    ],
+)
+def test_build_refuses_options(name, options, message):
+    with pytest.raises(UserError, match=message) as caught:
+        build(name, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_build_passes_options_on():
+    assert build("oba", aid="body", window=10.0).observe.window == 10.0
+    assert build("robust_map", "nav", headings=4).headings == 4
+    assert build("dual_vector", fraction=0.25, parameters={"vectors": "boxcar"}).fraction == 0.25
+    assert build_for("body", "triad", interval_samples=20).front_end.interval_samples == 20
+
+
 def test_build_sets_parameters():
-    method = build("oba", "body", {"observe.window": "30", "observe.interval_samples": "none"})
+    method = build("oba", "body", {"observe.window": "30", "front_end.interval_samples": "none"})
     assert method.observe.window == 30.0
-    assert method.observe.interval_samples is None
-    assert build("centred_oba").observe.aid == RECIPES["centred_oba"].aids[0]
+    assert method.front_end.interval_samples is None
+    assert type(build("centred_oba").observe.aid) is RECIPES["centred_oba"].aids[0]

@@ -69,7 +69,7 @@ def test_gps_zigzag():
 
 def test_sway():
     """Equal positive biases leave 0.208 deg of yaw; with random signs the mean is none and the RMS 0.22."""
-    recipes = {"gravity_q": ("gravity_q", "static", {"observe.interval_samples": 2})}
+    recipes = {"gravity_q": ("gravity_q", "static", {"front_end.interval_samples": 2})}
     fixed = mean(-headings("sway", recipes, 500.5, 100, every=500)["gravity_q"])
     assert abs(fixed.value - 0.208) < 3 * np.hypot(fixed.error, 0.0016)
     random = headings("sway", recipes, 500.5, 200, every=500, bias="sign")["gravity_q"]

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from logs import with_noise
 from scipy import stats
 from studies import RUNS, SHORT, result_of_small, small
 
@@ -15,7 +16,7 @@ from jaxalign.methods import build
 from jaxalign.rotation import euler_from_quat, quat_from_dcm
 from jaxalign.simulate import intervals_of, measure, measure_epochs, noiseless, scenario, truth
 from jaxalign.study import PERCENTILES, Study, run
-from jaxalign.study.feed import run_keys
+from jaxalign.study.epochs_spec import run_keys
 from jaxalign.study.report import write
 from jaxalign.study.settings import described
 from jaxalign.study.statistics import MethodStatistics
@@ -40,7 +41,7 @@ def result():
 def errors(made, study):
     """(methods, runs, K, 3) deg, each run aligned on its own."""
     exact = truth(made)
-    intervals = intervals_of(exact, made.aid_every)
+    intervals = intervals_of(exact, made.epoch_samples)
     reference = np.rad2deg(euler_from_quat(quat_from_dcm(exact.C_nb[10::10])))
     draw = eqx.filter_jit(measure_epochs)
     out = []
@@ -56,6 +57,21 @@ def errors(made, study):
 
 def test_a_short_scenario_is_read_out_at_its_end():
     assert Study(scenario("dvl-sturn", duration=8.0), ["oba"], runs=2).every == 8
+
+
+def test_a_study_is_a_dataclass():
+    """What was left out has been put in; another study is made of it."""
+    study = Study("dvl-sturn", ["oba"])
+    assert (study.runs, study.every, study.window) == (1000, 10, (250.0, 300.0))
+    assert study.scenario.name == "dvl-sturn"
+    more = dataclasses.replace(study, runs=2000)
+    assert (more.runs, more.every, more.methods) == (2000, 10, study.methods)
+    with pytest.raises(UserError, match="runs = 1:"):
+        dataclasses.replace(study, runs=1)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        study.every = 1
+    with pytest.raises(TypeError, match="missing 2 required positional arguments: 'scenario' and 'methods'"):
+        Study()
 
 
 def test_statistics_are_those_of_the_single_runs(result, errors):
@@ -109,9 +125,9 @@ def test_one_run_can_be_had_again_as_a_log(made):
     study = Study(made, ["oba"], runs=4, seed=9, fidelity="samples")
     found = run(study)["oba"]
     exact = truth(made)
-    dtheta, dvel, velocity = eqx.filter_jit(measure)(exact, made, run_keys(jax.random.key(9), np.array([3]))[0])
+    dtheta, dvel, (velocity,) = eqx.filter_jit(measure)(exact, made, run_keys(jax.random.key(9), np.array([3]))[0])
     epochs = epochs_from_arrays(
-        dtheta, dvel, velocity, dt=1 / 200.0, every=200, site=made.site, aid="body", aid_sd=made.aid_sd
+        dtheta, dvel, velocity, dt=1 / 200.0, every=200, site=made.site, aid="body", aid_sd=made.aids[0].sd
     )
     expected = align(build("oba", "body"), epochs, every=10).euler_deg[-1]
     reference = np.rad2deg(euler_from_quat(quat_from_dcm(exact.C_nb[-1])))
@@ -120,7 +136,7 @@ def test_one_run_can_be_had_again_as_a_log(made):
 
 def test_an_aid_whose_noise_is_not_stated(made):
     """Estimated, as `align` does: with zero no vector would have a weight."""
-    found = run(small(eqx.tree_at(lambda s: s.aid_sd, made, jax.numpy.zeros(()))))
+    found = run(small(with_noise(made, 0.0)))
     assert np.abs(found["roba"].end[:, 2]).max() < 3 * np.abs(found["oba"].end[:, 2]).max()
 
 
@@ -151,7 +167,7 @@ def test_runs_without_an_attitude_are_counted():
 @pytest.mark.parametrize("record", ["dual_vector", "fine"])
 def test_standing_vehicle_and_methods_with_their_own_epochs(record):
     made = scenario("disturbed", condition=1, duration=20.0)
-    methods = {"velocity_q": build("velocity_q", "static", {"observe.interval_samples": 2}), record: build(record)}
+    methods = {"velocity_q": build("velocity_q", "static", {"front_end.interval_samples": 2}), record: build(record)}
     found = run(Study(made, methods, runs=2, every=100))
     assert set(found.methods) == set(methods)
     for m in found.methods.values():
@@ -192,7 +208,7 @@ def test_prefilters_need_samples():
         ({"methods": ["oba", "oba"]}, "named twice"),
         ({"methods": {"x": 3}}, "is no method"),
         ({"methods": ["fine"]}, "takes the vehicle as standing, but in dvl-sturn it moves"),
-        ({"methods": {"x": build("oba", "nav")}}, "has a 'body' aid, the method observes 'nav'"),
+        ({"methods": {"x": build("oba", "nav")}}, "has no nav .* which is observed: it has body"),
         ({"runs": 1}, "runs = 1: must be a whole number from 2"),
         ({"runs": 2.5}, "runs = 2.5"),
         ({"seed": -1}, "seed = -1"),
@@ -218,8 +234,8 @@ def test_bad_input(change, message):
 def test_settings_are_json_and_whole(study):
     settings = json.loads(json.dumps(study.settings))
     assert settings["seed"] == 4
-    assert settings["methods"]["roba"]["weight"]["gamma"] == 2.5
-    assert settings["scenario"]["faults"][0] == {
+    assert settings["methods"]["roba"]["weight"]["threshold"] == 2.5
+    assert settings["scenario"]["aids"][0]["faults"][0] == {
         "kind": "FixedOutliers",
         "probability": 0.02,
         "factor": 300.0,
@@ -253,8 +269,8 @@ def test_files(result, tmp_path):
 
 def test_percentiles_of_many_runs():
     """Against a known distribution: the bins cost less than half a percent."""
+    from jaxalign.study.block_sums import bin_edges
     from jaxalign.study.statistics import _percentiles
-    from jaxalign.study.tally import bin_edges
 
     errors = abs(np.random.default_rng(0).standard_normal(200_000))
     bins = np.histogram(errors, bin_edges())[0][None, None]

@@ -95,9 +95,9 @@ def test_a_folder_in_use_is_refused(study, tmp_path):
         run(study, out=tmp_path)
     with pytest.raises(UserError, match=r"other settings \(seed was 4, is 5\)"):
         run(_other_seed(study), out=tmp_path, resume=True)
-    tuned = {"oba": study.methods["oba"], "roba": with_parameters(study.methods["roba"], {"weight.gamma": 3.0})}
+    tuned = {"oba": study.methods["oba"], "roba": with_parameters(study.methods["roba"], {"weight.threshold": 3.0})}
     changed = Study(study.scenario, tuned, RUNS, 4, tolerance_deg=20.0, window=(30.0, 60.0))
-    with pytest.raises(UserError, match=r"methods.roba.weight.gamma was 2.5, is 3.0"):
+    with pytest.raises(UserError, match=r"methods.roba.weight.threshold was 2.5, is 3.0"):
         run(changed, out=tmp_path, resume=True)
 
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from problems import RECIPES, ROWS, velocities
+from problems import OWN, RECIPES, contract_of, velocities
 from slopes import Slopes
 
-WITHOUT_CORNERS = {"rkf_oba": {"reconstruct.gamma": 100.0}, "roba": {"weight.gamma": 10.0}}  # test_slots.py tests those
-# Their compilation takes a minute each: test_fine.py, and test_robust_map.py, test_tunables.py, test_robust.py.
-GRADIENTS_ELSEWHERE = ("fine", "robust_map")
+# Their compilation takes a minute each: test_fine.py, test_auto.py, and test_robust_map.py, test_tunables.py,
+# test_robust.py.
+GRADIENTS_ELSEWHERE = ("fine", "robust_map", "auto")
 # The aid is the business of one slot, which this recipe shows with each of them.
 EVERY_AID = ("oba",)
 # A whole record of a standing vehicle. The others are slow tests; their slots have tests of their own (test_slots.py);
@@ -16,9 +16,9 @@ QUICK = ("triad",)
 rows = pytest.mark.parametrize(
     ("name", "aid"),
     [
-        pytest.param(name, aid, marks=() if name in QUICK and aid == RECIPES[name].aids[0] else pytest.mark.slow)
-        for name, aid in ROWS
-        if name not in GRADIENTS_ELSEWHERE and (aid == RECIPES[name].aids[0] or name in EVERY_AID)
+        pytest.param(name, aid, marks=() if name in QUICK and aid == RECIPES[name].aids[0].kind else pytest.mark.slow)
+        for name, aid in OWN
+        if name not in GRADIENTS_ELSEWHERE and (aid == RECIPES[name].aids[0].kind or name in EVERY_AID)
     ],
 )
 
@@ -29,27 +29,22 @@ def test_gradients(name, aid):
 
     What stands in a missing sample reaches neither values nor gradients.
     """
-    slopes = Slopes(name, aid, WITHOUT_CORNERS.get(name, {}))
+    contract = contract_of(name)
+    slopes = Slopes(name, aid, dict(contract.smooth))  # test_slots.py has the corners
     at = slopes.zero + np.where(np.arange(len(slopes.zero)) == 2, 123.0, 0.0)
     value, slope, by_velocity, gap = slopes.reverse(at)
     # Each part as large as the others, so that each is compared as strictly.
     towards = np.array([1.0, -0.6, 0.3, *np.zeros(len(at) - 3)]) / np.where(np.abs(slope) > 1e-6, np.abs(slope), 1.0)
-    rounding = 1e-7 if name == "vo_tvk" else 1e-8  # it begins with a relative gap of 2e-12
-    np.testing.assert_allclose(slopes.forward(at, towards), slope @ towards, rtol=0, atol=rounding)
-    # m/s, rad: larger steps meet the corners and gates of robust weights, smaller ones the rounding of an eigenvector
-    # (vo_tvk has no corners).
-    velocity = {"rkf_oba": (5e-5, 2e-5), "revising_oba": (1e-5, 5e-6)}.get(name, (2e-4, 5e-5))
-    latitude = {"vo_tvk": (2e-3, 1e-3), "moba": (1e-5, 5e-6), "revising_oba": (5e-6, 2e-6)}.get(name, (5e-5, 2e-5))
+    np.testing.assert_allclose(slopes.forward(at, towards), slope @ towards, rtol=0, atol=contract.slope_rounding)
     terms = np.linalg.norm(by_velocity * slopes.direction)  # of which the first is the sum: they nearly cancel
-    # Steps in latitude as small as theirs show the last bits of an eigenvector.
-    last_bits = np.finfo(float).eps / gap if gap > 0 and name in ("moba", "revising_oba") else 0.0
-    for i, steps in enumerate((velocity, latitude)):
+    last_bits = np.finfo(float).eps / gap if gap > 0 and contract.small_gap else 0.0
+    for i, steps in enumerate((contract.velocity_steps, contract.latitude_steps)):
         for h in steps:
             atol = 2e-7 + 1e-4 * terms * (i == 0) + last_bits / h * (i == 1)
             np.testing.assert_allclose(slope[i], slopes.difference(i, h), rtol=1e-4, atol=atol)
     if aid != "static":
         assert abs(slope[0]) > 1e-6
-    assert (abs(slope[1]) > 1e-6) == (name != "triad")  # up and east need no latitude
+    assert (abs(slope[1]) > 1e-6) == contract.uses_latitude
     assert slope[2] == 0
     at[2] = -7.0
     assert slopes.reverse(at)[0] == value
@@ -59,8 +54,8 @@ def test_gradients(name, aid):
     ("name", "aid"),
     [
         pytest.param(name, aid, marks=() if name in QUICK else pytest.mark.slow)
-        for name, aid in ROWS
-        if aid != "static" and (aid == RECIPES[name].aids[0] or name == "robust_map")
+        for name, aid in OWN
+        if aid != "static" and name != "auto" and (aid == RECIPES[name].aids[0].kind or name == "robust_map")
     ],
 )
 def test_gradients_stay_finite_with_outliers_and_gaps(name, aid):

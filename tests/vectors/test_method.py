@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import jaxalign as ja
-from jaxalign.inertial_unit import ImuErrors
+from jaxalign.front_end import FrontEnd
+from jaxalign.inertial_unit import PER_SAMPLE, AccelErrors, GyroErrors, ImuErrors
 from jaxalign.methods import RECIPES, build
 from jaxalign.simulate import scenario, simulate
 from jaxalign.study import Study, run
@@ -15,8 +16,8 @@ class Delegating(ja.AbstractMethod):
     """It leaves the work to another method, as a method from elsewhere would do its own."""
 
     inner: ja.AbstractMethod
-    aid: str = eqx.field(static=True, default="body")
-    interval_samples: int | None = None
+    aids: tuple = eqx.field(static=True, default=(ja.BodyVelocity(),))
+    front_end: FrontEnd = FrontEnd()
     prefilter: None = None
 
     def solve(self, epochs, rows=1, done=None):
@@ -35,7 +36,7 @@ def test_a_method_of_ones_own(made):
     np.testing.assert_array_equal(found.q_nb, expected.q_nb)
     np.testing.assert_allclose(own.misfit(found, 1.0), np.sqrt(2) * inner.misfit(found, 1.0))
     assert own.with_imu(ja.imu_errors("mems")) is own
-    with pytest.raises(ja.UserError, match="has a 'nav' aid, the method observes 'body'"):
+    with pytest.raises(ja.UserError, match=r"has no body .*which the method observes: it has nav"):
         own.epochs(simulate("gps-zigzag", 1, duration=20.0))
 
 
@@ -58,11 +59,10 @@ def test_every_recipe_keeps_it(name):
     """Figures of the unit reach the methods with a model of it, by the same names, and no others."""
     method = build(name)
     assert isinstance(method, ja.AbstractMethod)
-    assert method.interval_samples is None
-    assert method.prefilter is None
-    imu = ImuErrors(*(np.float64(x) for x in (3.0, 0.2, 700.0, 90.0)))
-    held = [x for x in (getattr(method.with_imu(imu), part, None) for part in ("imu", "filter")) if x is not None]
-    assert len(held) == (name in ("fine", "robust_map"))
-    for part in held:
-        assert float(part.gyro_bias_deg_h) == 3.0
-        assert float(part.accel_noise_ug_sqrt_hz) == 90.0
+    assert method.front_end.interval_samples is None
+    assert method.front_end.prefilter is None
+    imu = ImuErrors(GyroErrors(3.0, 0.2), AccelErrors(700.0, 90.0))
+    held = {path: x for path, x in ja.parameters(method.with_imu(imu)).items() if "imu." in path}
+    path = {"fine": "filter.imu.", "robust_map": "imu.", "auto": "imu."}.get(name)
+    expected = {} if path is None else {path + x: y for x, y in ja.parameters(imu).items() if x not in PER_SAMPLE}
+    assert held == expected

@@ -26,9 +26,9 @@ def solved(method, made, intervals, keys, every):
 
 def ratios(made, runs, every):
     """Errors over the bound, rows after the first: (runs, rows, 3)."""
-    method, exact = build("revising_oba", made.aid), truth(made)
+    method, exact = build("revising_oba", made.aids[0].aid), truth(made)
     keys = jax.random.split(jax.random.key(5), runs)
-    q = solved(method, made, intervals_of(exact, made.aid_every), keys, every)[:, 1:]
+    q = solved(method, made, intervals_of(exact, made.epoch_samples), keys, every)[:, 1:]
     rows = np.unique([*range(0, made.epochs + 1, every), made.epochs])[1:]
     return np.abs(phi_deg(q, exact.C_nb[rows])) / np.asarray(bound(made, exact).phi_deg)[rows]
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from problems import RECIPES, ROWS
+from problems import OWN, RECIPES, contract_of
 from slopes import Slopes
 
 from jaxalign.methods import build
@@ -13,63 +13,63 @@ from jaxalign.tune import space_of
 
 # What each recipe is set to, so that all its numbers have an effect and none is zero; then what may be tuned.
 # rkf_oba with a lower prior: at 1e10 the rounding of the covariance hides the derivative by it (1e-3 of it);
-# with a low gamma few innovations are near the corner of the weight.
-FINE = "velocity_sd initial_velocity_sd initial_tilt_sd_deg initial_heading_sd_deg accel_bias_ug gyro_bias_deg_h "
-FINE += "accel_noise_ug_sqrt_hz gyro_walk_deg_sqrt_h accel_bias_walk_ug_sqrt_h gyro_bias_walk_deg_h_sqrt_h"
-WALKS = {"filter.accel_bias_walk_ug_sqrt_h": 5.0, "filter.gyro_bias_walk_deg_h_sqrt_h": 0.05}
-IMU = "gyro_bias_deg_h gyro_walk_deg_sqrt_h accel_bias_ug accel_noise_ug_sqrt_hz"
-AID = "scale_sd mounting_sd_deg latency_sd lever_sd slow_sd slow_time"
+# with a low threshold few innovations are near the corner of the weight.
+IMU = "gyro.bias_deg_h gyro.walk_deg_sqrt_h gyro.bias_walk_deg_h_sqrt_h accel.bias_ug accel.density_ug_sqrt_hz "
+IMU = [f"imu.{x}" for x in (IMU + "accel.bias_walk_ug_sqrt_h").split()]
+FINE = " ".join(["velocity_sd initial_velocity_sd initial_tilt_sd_deg initial_heading_sd_deg", *IMU])
+UNIT_WALKS = {"imu.accel.bias_walk_ug_sqrt_h": 5.0, "imu.gyro.bias_walk_deg_h_sqrt_h": 0.05}
+WALKS = {f"filter.{path}": x for path, x in UNIT_WALKS.items()}
+CALIBRATED = {"calibrate": "scale,mounting,latency,lever,slow", "tolerance": 1e-9, "iterations": 60}
+MAP = "scale mounting_deg latency lever slow slow_seconds"
+MAP = ["outlier_probability", "outlier_ratio", *(f"priors.body.{x}" for x in MAP.split())]
 POSITION = "position_sd initial_position_sd"
-CONSTANT = {"estimate.noise": "constant"}
+CONSTANT = {"estimate.measurement_noise": "constant"}
 TABLE = [
-    # recipe, settings, tunables with an effect, tunables without
-    ("triad", {}, "", ""),
-    ("dual_vector", {}, "", ""),
-    ("gravity_q", {}, "", ""),
-    ("velocity_q", {}, "", ""),
-    ("oba", {}, "", ""),
-    ("centred_oba", {}, "", ""),
-    ("revising_oba", {}, "estimate.cutoff", ""),
-    ("roba", {"weight.gamma": 1.0}, "weight.gamma", ""),
-    ("roba", {"weight.residual": "norm", "weight.gamma": 1.0}, "weight.gamma", ""),
+    # recipe, settings, tunables with an effect, tunables without; recipes that are not here: as they are, all of them
+    ("roba", {"weight.threshold": 1.0}, "weight.threshold", ""),
+    ("roba", {"weight.residual": "norm", "weight.threshold": 1.0}, "weight.threshold", ""),
     (
         "moba",
         {"weight.delta": 1.0, "weight.threshold": 0.8},
-        "weight.gamma weight.delta",
+        "weight.exponent weight.delta",
         "weight.threshold weight.sharpness",
     ),
     (
         "moba",
         {"weight.delta": 1.0, "weight.threshold": 0.8, "weight.gate": "smooth"},
-        "weight.gamma weight.delta weight.threshold weight.sharpness",
+        "weight.exponent weight.delta weight.threshold weight.sharpness",
         "",
     ),
     (
         "moba",
         {"weight.delta": 1.0, "weight.threshold": 0.8, "weight.gate": "smooth", "weight.statistics": "inliers"},
-        "weight.gamma weight.delta weight.threshold weight.sharpness",
+        "weight.exponent weight.delta weight.threshold weight.sharpness",
         "",
     ),
     (
         "rkf_oba",
-        {"reconstruct.prior": 1e4, "reconstruct.gamma": 0.3},
-        "reconstruct.gamma reconstruct.process reconstruct.prior",
+        {"reconstruct.prior_variance": 1e4, "reconstruct.threshold": 0.3},
+        "reconstruct.threshold reconstruct.process_variance reconstruct.prior_variance",
         "",
     ),
-    ("request", {}, "estimate.rho", ""),
-    ("optimal_request", {"estimate.process": 1e-9}, "estimate.process", "estimate.variance"),
-    ("optimal_request", {**CONSTANT, "estimate.process": 1e-3}, "estimate.process estimate.variance", ""),
-    ("vo_tvk", {}, "estimate.kappa estimate.prior", "estimate.variance"),
-    ("vo_tvk", CONSTANT, "estimate.kappa estimate.prior estimate.variance", ""),
-    ("quaternion_kf", {}, "estimate.variance estimate.prior", ""),
-    ("quaternion_kf", {"estimate.noise": "fixed"}, "estimate.variance estimate.prior", ""),
+    ("optimal_request", {"estimate.process_variance": 1e-9}, "estimate.process_variance", "estimate.variance"),
+    (
+        "optimal_request",
+        {**CONSTANT, "estimate.process_variance": 1e-3},
+        "estimate.process_variance estimate.variance",
+        "",
+    ),
+    ("vo_tvk", {}, "estimate.kappa estimate.prior_variance", "estimate.variance"),
+    ("vo_tvk", CONSTANT, "estimate.kappa estimate.prior_variance estimate.variance", ""),
+    ("quaternion_kf", {}, "estimate.variance estimate.prior_variance", ""),
+    ("quaternion_kf", {"estimate.measurement_noise": "fixed"}, "estimate.variance estimate.prior_variance", ""),
     (
         "rls_quaternion_kf",
         {"reconstruct.forgetting": 0.95},
-        "reconstruct.forgetting reconstruct.prior estimate.variance estimate.prior",
+        "reconstruct.forgetting reconstruct.prior_variance estimate.variance estimate.prior_variance",
         "",
     ),
-    ("rls_q", {"reconstruct.forgetting": 0.95}, "reconstruct.forgetting reconstruct.prior", ""),
+    ("rls_q", {"reconstruct.forgetting": 0.95}, "reconstruct.forgetting reconstruct.prior_variance", ""),
     (
         "fine",
         WALKS,
@@ -88,28 +88,24 @@ TABLE = [
         " ".join(f"filter.{x}" for x in (FINE + " " + POSITION).split()) + " heading_margin",
         "",
     ),
-    (
-        "robust_map",
-        {"calibrate": "mounting+latency+lever+slow", "tolerance": 1e-9, "iterations": 60},
-        " ".join(f"imu.{x}" for x in IMU.split()) + f" outliers spread {AID}",
-        "",
-    ),
+    ("robust_map", {**CALIBRATED, **UNIT_WALKS}, " ".join([*IMU, *MAP]), ""),
+    ("auto", {f"estimator.{path}": x for path, x in CALIBRATED.items()}, " ".join(f"estimator.{x}" for x in MAP), ""),
 ]
-FREE = {"robust_map": 1e6}
-STEPS = {"moba": (1e-4, 3e-5), "vo_tvk": (2e-2, 1e-2), "robust_map": (2e-2, 1e-2)}
+LISTED = {row[0] for row in TABLE}
+TABLE += [(name, {}, " ".join(tunables(build(name))), "") for name in dict(OWN) if name not in LISTED]
 
 
 def expanded():
     for name, settings, active, idle in TABLE:
-        for row, aid in ROWS:
-            if row == name and (active or idle) and aid == RECIPES[name].aids[0]:
+        for row, aid in OWN:
+            if row == name and (active or idle) and aid == RECIPES[name].aids[0].kind:
                 label = "-".join([name, aid, *(str(x) for x in settings.values() if isinstance(x, str))])
                 yield pytest.param(name, aid, settings, active.split(), idle.split(), id=label)
 
 
 def test_the_table_is_whole():
     """Every tunable of every recipe has a row in which it has an effect."""
-    for name in {row for row, _ in ROWS}:
+    for name in dict(OWN):
         known = set(tunables(build(name)))
         listed = {path for row in TABLE if row[0] == name for path in row[2].split()}
         assert listed == known, name
@@ -129,10 +125,11 @@ def test_derivatives(name, aid, settings, active, idle):
     forward, along, reverse, scale = slopes.forward(slopes.zero, towards), reverse @ towards, reverse[3:], scale[3:]
     # An eigenvector is known to the rounding over its gap: 4e-11 rad where the gap is 5e-6 (vo_tvk), else below 1e-8. A
     # solution without one (robust_map) to that times the variance of the first velocity, 1e6 times that of a fix.
-    rounding = np.finfo(float).eps * (1 / gap if gap > 0 else FREE.get(name, 0.0))
+    contract = contract_of(name)
+    rounding = np.finfo(float).eps * (1 / gap if gap > 0 else contract.free)
     assert abs(along - forward) <= 1e-8 + rounding * np.abs(towards).sum(), (along, forward)
     # Larger steps meet the corners of robust weights, smaller ones the rounding of an early eigenproblem.
-    for h in STEPS.get(name, (1e-3, 3e-4)):
+    for h in contract.number_steps:
         numeric = np.array([slopes.difference(3 + i, h) for i in range(len(reverse))])
         assert np.all(np.abs(numeric - reverse) <= 1e-4 * scale + rounding / h), dict(
             zip(slopes.paths, zip(numeric, reverse, strict=True), strict=True)
@@ -154,11 +151,11 @@ def test_derivatives(name, aid, settings, active, idle):
         ("optimal_request", "nav", CONSTANT),
         ("vo_tvk", "nav", CONSTANT),
         ("vo_tvk", "nav", {}),
-        ("quaternion_kf", "static", {"estimate.noise": "fixed"}),
+        ("quaternion_kf", "static", {"estimate.measurement_noise": "fixed"}),
         ("quaternion_kf", "static", {}),
         ("rls_quaternion_kf", "static", {}),
-        ("fine", "static", {}),
-        ("robust_map", "body", {"calibrate": "mounting+latency+lever+slow"}),
+        ("fine", "static", WALKS),
+        ("robust_map", "body", {"calibrate": "scale,mounting,latency,lever,slow", **UNIT_WALKS}),
     ],
 )
 def test_finite_at_the_bounds(name, aid, settings, where):
@@ -173,7 +170,7 @@ def test_finite_at_the_bounds(name, aid, settings, where):
 
 
 def test_free_numbers_stay_within_their_bounds():
-    space = space_of(build("fine"), ["filter.velocity_sd", "filter.accel_bias_ug", "heading_margin"])
+    space = space_of(build("fine"), ["filter.velocity_sd", "filter.imu.accel.bias_ug", "heading_margin"])
     for size in (-50.0, -1.0, 0.0, 1.0, 50.0):
         values = space.values({path: jnp.asarray(size) for path in space.paths})
         for path, x in values.items():

@@ -12,12 +12,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxalign.vector import Mat3, Vec3
 
-__all__ = ["Spread"]
+__all__ = ["Observability"]
 
 _HEADING_SD = np.deg2rad(10.0)
 
 
-class Spread(eqx.Module):
+class Observability(eqx.Module):
     """``sum a a^T`` and ``sum a`` of the noise-free vectors a (m/s), and their number.
 
     The eigengap of the 4x4 problem cannot serve: early on it measures the noise of the aid.
@@ -28,21 +28,21 @@ class Spread(eqx.Module):
     count: Float[Array, "*shape"]
 
     @classmethod
-    def zero(cls) -> Spread:
+    def zero(cls) -> Observability:
         """No vector yet."""
         return cls(Mat3.zero(), Vec3.zero(), jnp.zeros((), jnp.float64))
 
     @classmethod
-    def of(cls, vector: Vec3, used: Any) -> Spread:
+    def of(cls, vector: Vec3, used: Any) -> Observability:
         """One vector (m/s), counted where ``used``; a null vector (the first epoch) is none."""
         used = jnp.where(used & (vector.norm2() > 0), 1.0, 0.0)
         counted = vector * used
         return cls(counted.outer(vector), counted, used)
 
-    def __add__(self, other: Spread) -> Spread:
+    def __add__(self, other: Observability) -> Observability:
         return jax.tree.map(jnp.add, self, other)
 
-    def cumulated(self) -> Spread:
+    def cumulated(self) -> Observability:
         """Running sums along the first axis."""
         return jax.tree.map(lambda x: jnp.cumsum(x, axis=0), self)
 

@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxalign.aid_noise import white_noise_sd
-from jaxalign.spread import Spread
+from jaxalign.observability import Observability
 from jaxalign.vector import Vec3
 
 
 @jax.jit
 def spread_of(vectors, used):
-    found = Spread.of(Vec3.of(vectors), used).cumulated()
+    found = Observability.of(Vec3.of(vectors), used).cumulated()
     return jax.tree.map(lambda x: x[-1], found)
 
 
@@ -66,10 +66,10 @@ def test_unused_vectors_do_not_count():
 
 def test_running_sums_are_a_loop_of_additions():
     vectors, used = fan(1e-2, np.random.default_rng(19), count=6), np.array([1, 1, 0, 1, 0, 1], bool)
-    running = Spread.of(Vec3.of(vectors), jnp.asarray(used)).cumulated()
-    total = Spread.zero()
+    running = Observability.of(Vec3.of(vectors), jnp.asarray(used)).cumulated()
+    total = Observability.zero()
     for i in range(6):
-        total = total + Spread.of(Vec3.of(jnp.asarray(vectors[i])), used[i])
+        total = total + Observability.of(Vec3.of(jnp.asarray(vectors[i])), used[i])
         for one, all_ in zip(jax.tree.leaves(total), jax.tree.leaves(running), strict=True):
             np.testing.assert_allclose(all_[i], one, rtol=1e-14)
     np.testing.assert_array_equal(running.count, np.cumsum(used))

@@ -12,18 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxalign.aids import AbstractAid, Standing
 from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs, row_numbers, strided_rows
 from jaxalign.inertial import InertialRecord
 from jaxalign.method import AbstractMethod
-from jaxalign.prefilter.base import without_prefilter
-from jaxalign.solution import FilterRecord, Solution, status_bits
-from jaxalign.vector import Quat, Vec3, where
+from jaxalign.nav_estimate import Block
+from jaxalign.solution import FilterRecord, Solution, assembled
+from jaxalign.vector import Quat, Vec3
 
-__all__ = ["AbstractRecordMethod", "Found"]
+__all__ = ["AbstractWholeRecordMethod", "RecordReadout"]
 
 
-class Found(eqx.Module):
+class RecordReadout(eqx.Module):
     """What a method finds at the read-out epochs.
 
     Attributes:
@@ -34,6 +35,8 @@ class Found(eqx.Module):
         residual: alpha - C_n0b0 beta, m/s.
         covariance: of the attitude error in n, rad^2, where known.
         filter: what a filter tells beside the attitude.
+        nav: velocity, position, unknowns and covariance of a :class:`jaxalign.NavEstimate`, by name.
+        blocks: of that covariance (static).
     """
 
     q_nb: Quat
@@ -43,52 +46,49 @@ class Found(eqx.Module):
     residual: Vec3
     covariance: Float[Array, "K 3 3"] | None = None
     filter: FilterRecord | None = None
+    nav: dict[str, Any] | None = None
+    blocks: tuple[Block, ...] = eqx.field(static=True, default=())
 
 
-class AbstractRecordMethod(AbstractMethod):
+class AbstractWholeRecordMethod(AbstractMethod):
     """A method for a standing vehicle that needs the record up to an epoch, or all of it, for the attitude there."""
 
-    aid: ClassVar[str] = "static"
+    aids: ClassVar[tuple[AbstractAid, ...]] = (Standing(),)
 
     @abstractmethod
-    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> Found:
+    def find(self, epochs: Epochs, record: InertialRecord, rows: np.ndarray) -> RecordReadout:
         """Attitudes at the epochs ``rows`` (host integers)."""
 
     def solve(self, epochs: Epochs, rows: Any = 1, done: Callable[[int], None] | None = None) -> Solution:
         """Align epochs (see :meth:`AbstractMethod.solve`)."""
-        return _jitted(without_prefilter(self), epochs, *strided_rows(len(epochs), rows))
+        return _jitted(self.bare, epochs, *strided_rows(len(epochs), rows))
 
 
 @Program
-def _jitted(method: AbstractRecordMethod, epochs: Epochs, every: int, places: tuple[int, ...] | None) -> Solution:
+def _jitted(method: AbstractWholeRecordMethod, epochs: Epochs, every: int, places: tuple[int, ...] | None) -> Solution:
     rows = row_numbers(len(epochs), every)
     rows = rows if places is None else rows[np.array(places)]
     whole = InertialRecord.of(epochs)
     found, time = method.find(epochs, whole, rows), whole.time[rows]
     told = jax.tree.leaves((found.q_nb, found.residual, found.covariance, found.filter))
     finite = jnp.all(jnp.stack([jnp.isfinite(x).reshape(len(rows), -1).all(axis=1) for x in told]), axis=0)
-    defined = found.defined & finite
-    observable = whole.observable(epochs.aid_sd)[rows] & defined
-    aided = epochs.rows.valid[rows]
-    bits = status_bits(defined=defined, observable=observable, aided=aided, finite=finite)
-    one = jnp.ones_like(time)
-    identity = jax.tree.map(lambda x: x * one, Quat.identity())
-
-    def masked(x: Any) -> Any:
-        return jnp.where(defined.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
-
-    return Solution(
+    aided, one = epochs.rows.valid[rows], jnp.ones_like(time)
+    residual, weight, sd = found.residual.array, aided * one, epochs.aid_sd * one
+    return assembled(
         time=time,
-        q_nb=where(defined, found.q_nb.unit().positive(), identity).array,
-        defined=defined,
-        observable=observable,
-        eigengap=0.0 * one,
-        residual=masked(found.residual.array),
-        weight=aided * one,
+        q_nb=found.q_nb.unit().array,
+        defined=found.defined,
+        observable=whole.observable(epochs.aid_sd)[rows],
+        finite=finite,
+        aided=aided,
+        residual=residual,
+        weight=weight,
         alpha=found.alpha.array,
         beta=found.beta.array,
-        covariance=None if found.covariance is None else masked(found.covariance),
-        status=bits,
-        aid_sd=epochs.aid_sd * one,
-        filter=jax.tree.map(masked, found.filter),
+        covariance=found.covariance,
+        aid_sd=sd,
+        filter=None if found.filter is None else dict(vars(found.filter)),
+        nav=found.nav,
+        blocks=found.blocks,
+        aids={epochs.aids[0].name: (residual, weight, sd, aided)},
     )

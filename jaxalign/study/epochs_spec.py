@@ -10,15 +10,27 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxalign.aids import AbstractAid, Standing
 from jaxalign.alignment import estimate_aid_sd
-from jaxalign.epochs import Epochs, epochs_from_arrays
+from jaxalign.epochs import Epochs
 from jaxalign.errors import UserError
+from jaxalign.front_end import epochs_from_arrays, is_standing
 from jaxalign.method import AbstractMethod
 from jaxalign.parametrization import parameters
 from jaxalign.prefilter import AbstractPrefilter
-from jaxalign.simulate import Intervals, Scenario, Truth, intervals_of, measure, measure_epochs, sample_epochs, truth
+from jaxalign.simulate import (
+    Intervals,
+    Scenario,
+    Truth,
+    imu_increments,
+    intervals_of,
+    measure_epochs,
+    sample_epochs,
+    truth,
+)
+from jaxalign.simulate.aggregate import fixes_of, observed
 
-__all__ = ["FIDELITIES", "Feed", "Fidelity", "World", "feed_of", "run_axes", "run_keys", "world_of"]
+__all__ = ["FIDELITIES", "EpochsSpec", "Fidelity", "RunModel", "epochs_spec", "run_axes", "run_keys", "run_model"]
 
 Fidelity = Literal["increments", "samples"]
 FIDELITIES = ("increments", "samples")
@@ -33,64 +45,71 @@ def run_keys(seed: PRNGKeyArray, numbers: Int[Array, " runs"]) -> PRNGKeyArray:
     return jax.vmap(lambda i: jax.random.fold_in(seed, i))(numbers)
 
 
-class Feed(eqx.Module):
+class EpochsSpec(eqx.Module):
     """What a method wants of a run.
 
     Attributes:
-        aid: "static", "body" or "nav".
+        aids: that it observes.
         samples: IMU samples per epoch.
         prefilter: of the force, or None.
     """
 
-    aid: str = eqx.field(static=True)
+    aids: tuple[AbstractAid, ...] = eqx.field(static=True)
     samples: int = eqx.field(static=True)
     prefilter: AbstractPrefilter | None = None
 
     @property
     def name(self) -> str:
-        """The same for methods that share their epochs."""
+        """A text that is the same for methods that share their epochs."""
         numbers = self.prefilter and (type(self.prefilter).__name__, parameters(self.prefilter))
-        return repr((self.aid, self.samples, numbers))
+        return repr((self.aids, self.samples, numbers))
 
 
-def feed_of(method: AbstractMethod, made: Scenario) -> Feed:
+def epochs_spec(method: AbstractMethod, made: Scenario) -> EpochsSpec:
     """What a method wants of a scenario.
 
     Raises:
         UserError: it observes another aid, or its epochs do not fit between those of the scenario.
     """
-    samples = method.interval_samples or made.aid_every
-    if method.aid not in ("static", made.aid):
-        raise UserError(f"{made.name} has a {made.aid!r} aid, the method observes {method.aid!r}")
-    if method.aid != "static" and made.aid_every % samples:
-        raise UserError(f"interval_samples = {samples} must divide the {made.aid_every} IMU samples between fixes")
-    return Feed(method.aid, samples, method.prefilter)
+    samples = method.front_end.interval_samples or made.epoch_samples
+    chosen = tuple(aid for aid, _ in observed(made, method.aids))
+    for aid in chosen:
+        if not (method.takes_components or aid.full_velocity):
+            raise UserError(
+                f"{made.name}: {aid.name} is {aid.described}, and the method needs a whole velocity; robust_map takes "
+                "what there is"
+            )
+    if not method.standing and made.epoch_samples % samples:
+        raise UserError(
+            f"front_end.interval_samples = {samples} must divide the {made.epoch_samples} IMU samples between fixes"
+        )
+    return EpochsSpec(chosen, samples, method.front_end.prefilter)
 
 
-class World(eqx.Module):
-    """What the runs of a scenario have in common, for one feed.
+class RunModel(eqx.Module):
+    """What the runs of a scenario have in common, for methods that want the same epochs.
 
     Attributes:
         scenario: what is simulated.
         exact: its truth.
-        feed: what the method wants.
+        spec: what the method wants.
         intervals: the truth preintegrated for noise per interval; None: noise per IMU sample.
-        aid_sd: noise of the aid that the methods are told, m/s.
+        sd: of each aid the noise that the methods are told.
     """
 
     scenario: Scenario
     exact: Truth
-    feed: Feed
+    spec: EpochsSpec
     intervals: Intervals | None
-    aid_sd: Float[Array, ""]
+    sd: tuple[Float[Array, "*m"], ...]
 
     def epochs(self, keys: PRNGKeyArray) -> Epochs:
         """Epochs of a block of runs: the leaves that differ between them have them on the last axis. Pure."""
         if self.intervals is None:
-            epochs = _sampled(self.exact, self.scenario, self.feed, keys)
+            epochs = _sampled(self.exact, self.scenario, self.spec, keys)
         else:
-            epochs = measure_epochs(self.intervals, self.scenario, keys)
-        return eqx.tree_at(lambda e: e.aid_sd, epochs, self.aid_sd)
+            epochs = measure_epochs(self.intervals, self.scenario, keys, self.spec.aids)
+        return eqx.tree_at(lambda e: e.sd, epochs, self.sd)
 
 
 def run_axes(epochs: Epochs) -> Epochs:
@@ -100,9 +119,9 @@ def run_axes(epochs: Epochs) -> Epochs:
     return eqx.tree_at(lambda e: e.rows, axes, rows, is_leaf=lambda x: x is None)
 
 
-def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Epochs:
+def _sampled(exact: Truth, made: Scenario, spec: EpochsSpec, keys: PRNGKeyArray) -> Epochs:
     """A few runs at a time, whose samples fit into the cache (or, where they are filtered, into memory)."""
-    whole = feed.prefilter is None and made.force is None and feed.samples > 1
+    whole = spec.prefilter is None and made.force is None and spec.samples > 1
     whole = whole and len(keys) > _FEW
     wide = jax.default_backend() != "cpu"  # no cache to fit into, and each kernel has its price
     most = (
@@ -113,8 +132,8 @@ def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Ep
 
     def group(keys: PRNGKeyArray) -> Epochs:
         if whole:
-            return sample_epochs(exact, made, keys, feed.samples)
-        drawn = jax.vmap(lambda key: _sampled_run(exact, made, feed, key))(keys)
+            return sample_epochs(exact, made, keys, spec.samples, spec.aids)
+        drawn = jax.vmap(lambda key: _sampled_run(exact, made, spec, key))(keys)
         rows = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), drawn.rows)
         common = jax.tree.map(lambda x: x[0], drawn)
         return eqx.tree_at(lambda e: e.rows, common, eqx.tree_at(lambda r: r.dt, rows, common.rows.dt))
@@ -127,25 +146,24 @@ def _sampled(exact: Truth, made: Scenario, feed: Feed, keys: PRNGKeyArray) -> Ep
     return jax.tree.map(joined, drawn)
 
 
-def _sampled_run(exact: Truth, made: Scenario, feed: Feed, key: PRNGKeyArray) -> Epochs:
-    dtheta, dvel, velocity = measure(exact, made, key)
-    if feed.aid == "static":
-        velocity = None
-    elif made.aid_every != feed.samples:  # epochs between two fixes have no aid
-        ratio = made.aid_every // feed.samples
-        velocity = jnp.full((made.epochs * ratio + 1, 3), jnp.nan).at[::ratio].set(velocity)
-    used = made.samples // feed.samples * feed.samples
-    return epochs_from_arrays(
+def _sampled_run(exact: Truth, made: Scenario, spec: EpochsSpec, key: PRNGKeyArray) -> Epochs:
+    dtheta, dvel = imu_increments(exact, made, key)
+    used = made.samples // spec.samples * spec.samples
+    chosen = observed(made, spec.aids)
+    epochs = epochs_from_arrays(
         dtheta[:used],
         dvel[:used],
-        velocity,
+        None,
         dt=1.0 / made.imu_rate,
-        every=feed.samples,
+        every=spec.samples,
         site=made.site,
-        aid=feed.aid,  # pyright: ignore[reportArgumentType]
-        aid_sd=made.aid_sd,  # pyright: ignore[reportArgumentType]
-        prefilter=feed.prefilter,
+        aid=Standing(),
+        prefilter=spec.prefilter,
     )
+    fixes = fixes_of(exact, made, key, spec.samples, len(epochs) - 1, chosen)
+    rows = dataclasses.replace(epochs.rows, fixes=fixes)
+    sd = tuple(jnp.ones(()) if number < 0 else made.aids[number].sd for _, number in chosen)
+    return Epochs(rows, epochs.site, sd, tuple(aid for aid, _ in chosen), epochs.filtered)
 
 
 _known: list[tuple[Truth, Intervals]] = []
@@ -158,18 +176,20 @@ def _intervals(exact: Truth, samples: int) -> Intervals:
     return _known[0][1]
 
 
-_first = eqx.filter_jit(lambda world, keys: world.epochs(keys))
+_first = eqx.filter_jit(lambda model, keys: model.epochs(keys))
 
 
-def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity, exact: Truth | None = None) -> World:
-    """Prepare the runs of a scenario for a feed.
+def run_model(
+    made: Scenario, spec: EpochsSpec, seed: PRNGKeyArray, fidelity: Fidelity, exact: Truth | None = None
+) -> RunModel:
+    """Prepare the runs of a scenario for methods that want the same epochs.
 
     The noise of a standing vehicle, or of an aid without a stated one (``aid_sd`` 0), is estimated from run 0 as
     measured, as :func:`jaxalign.align` does with a log.
 
     Args:
         made: what to simulate.
-        feed: what the method wants.
+        spec: what the method wants.
         seed: key of the study.
         fidelity: noise per "increments" of an epoch or per "samples" of the IMU.
         exact: the truth, if it is at hand.
@@ -179,19 +199,24 @@ def world_of(made: Scenario, feed: Feed, seed: PRNGKeyArray, fidelity: Fidelity,
             that moves.
     """
     exact = truth(made) if exact is None else exact
-    if feed.aid == "static" and (speed := float(jnp.max(jnp.abs(exact.velocity_n)))) > 0.5:
+    standing = is_standing(spec.aids)
+    if standing and (speed := float(jnp.max(jnp.abs(exact.velocity_n)))) > 0.5:
         raise UserError(
             f"the method takes the vehicle as standing, but in {made.name} it moves at up to {speed:.1f} m/s"
         )
-    if fidelity == "increments" and (feed.prefilter is not None or made.force is not None):
-        what = "a prefilter looks" if feed.prefilter is not None else "a disturbance of the base acts"
+    if fidelity == "increments" and (spec.prefilter is not None or made.force is not None):
+        what = "a prefilter looks" if spec.prefilter is not None else "a disturbance of the base acts"
         raise UserError(f"{what} at single IMU samples: choose the fidelity 'samples' (--fidelity samples)")
-    if made.aid != feed.aid:  # a standing vehicle has no use for its aid
-        made = dataclasses.replace(made, aid=feed.aid)
-    intervals = _intervals(exact, feed.samples) if fidelity == "increments" else None
-    world = World(made, exact, feed, intervals, made.aid_sd)
-    if feed.aid != "static" and float(made.aid_sd) > 0:
-        return world
-    raw = World(made, exact, Feed(feed.aid, feed.samples), intervals, jnp.ones(()))
+    intervals = _intervals(exact, spec.samples) if fidelity == "increments" else None
+    stated = tuple(None if number < 0 else made.aids[number].sd for _, number in observed(made, spec.aids))
+    nominal = tuple(jnp.ones(()) if sd is None else sd for sd in stated)
+    model = RunModel(made, exact, spec, intervals, nominal)
+    unknown = [i for i, sd in enumerate(stated) if sd is None or not float(jnp.min(sd)) > 0]
+    if not unknown:
+        return model
+    raw = RunModel(
+        made, exact, EpochsSpec(spec.aids, spec.samples), intervals, tuple(jnp.ones_like(x) for x in nominal)
+    )
     epochs = jax.tree.map(lambda x: x[..., 0] if x.ndim > 1 else x, _first(raw, run_keys(seed, jnp.zeros(1, int))))
-    return eqx.tree_at(lambda w: w.aid_sd, world, jnp.asarray(max(_LEAST_SD, estimate_aid_sd(epochs)), jnp.float64))
+    found = {i: jnp.asarray(max(_LEAST_SD, estimate_aid_sd(epochs, i)), jnp.float64) for i in unknown}
+    return eqx.tree_at(lambda w: w.sd, model, tuple(found.get(i, x) for i, x in enumerate(nominal)))

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxalign.study.errors import Errors
 
-__all__ = ["BINS", "PER_DECADE", "SMALLEST_DEG", "Tally", "bin_edges", "tally"]
+__all__ = ["BINS", "PER_DECADE", "SMALLEST_DEG", "BlockSums", "bin_edges", "sum_block"]
 
 SMALLEST_DEG, PER_DECADE = 1e-6, 128
 BINS = int(np.ceil(PER_DECADE * np.log10(180.0 / SMALLEST_DEG))) + 1
@@ -28,7 +28,7 @@ def bin_edges() -> np.ndarray:
     return edges
 
 
-class Tally(eqx.Module):
+class BlockSums(eqx.Module):
     """A block of runs; K read-outs, three angles (pitch, roll, yaw), in degrees.
 
     Attributes:
@@ -56,13 +56,13 @@ class Tally(eqx.Module):
     converged: Float[Array, "runs 3"]
 
 
-def tally(
+def sum_block(
     errors: Errors,
     counted: Bool[Array, " runs"],
     time: Float[Array, " K"],
     window: Bool[Array, " K"],
     tolerance_deg: Float[Array, ""],
-) -> Tally:
+) -> BlockSums:
     """Reduce a block. Pure.
 
     Args:
@@ -92,7 +92,7 @@ def tally(
     # From the last read-out that is out of tolerance, one further.
     last_out = jnp.max(jnp.where(within, -1, jnp.arange(k)[:, None]), axis=1)
     converged = jnp.where(last_out < k - 1, time[jnp.minimum(last_out + 1, k - 1)], jnp.inf)
-    return Tally(
+    return BlockSums(
         known=jnp.sum(known[..., 0], axis=0, dtype=jnp.int32),
         failed=jnp.sum(errors.failed & counted[:, None], axis=0, dtype=jnp.int32),
         total=jnp.sum(error, axis=0),
