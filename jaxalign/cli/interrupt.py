@@ -22,6 +22,7 @@ EXIT_CODE = 130
 _PATIENCE_S = 1.5
 _patient = False  # in a block of `patience`
 _asked = False  # and interrupted in it
+_hint = ""  # what the reader of "interrupted" can do, where that moment was too short
 
 
 def guard() -> None:
@@ -36,14 +37,18 @@ def guard() -> None:
 
 
 @contextmanager
-def patience() -> Iterator[None]:
-    """Ctrl-C raises KeyboardInterrupt in this block; what follows has a moment to save what there is."""
-    global _patient
+def patience(hint: str = "") -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt in this block; what follows has a moment to save what there is.
+
+    Args:
+        hint: said after "interrupted" where that moment is over before the command has ended.
+    """
+    global _patient, _hint
     before: Any = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before is signal.SIG_IGN:
         yield
         return
-    _patient = True
+    _patient, _hint = True, hint
     signal.signal(signal.SIGINT, _raise)
     try:
         yield
@@ -67,5 +72,5 @@ def _watch(reader: int) -> None:
     files = sys.modules.get("jaxalign.files")
     if files is not None:
         files.discard_parts()
-    os.write(2, b"jaxalign: interrupted\n")
+    os.write(2, f"jaxalign: interrupted{_hint and '; '}{_hint}\n".encode())
     os._exit(EXIT_CODE)

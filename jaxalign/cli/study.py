@@ -145,15 +145,16 @@ def _run(options: argparse.Namespace) -> int:
     def warn(line: str) -> None:
         print(f"jaxalign: warning: {line}", file=sys.stderr)
 
+    kept = "" if options.output is None else f"finished chunks are in {options.output}: go on with --resume"
     try:
-        with patience():
+        with patience(kept):
             result = run(
                 study, out=options.output, resume=options.resume, chunk=options.chunk, progress=True, warn=warn
             )
     except Interrupted as error:
+        print(f"jaxalign: {error}", file=sys.stderr)
         if error.result is not None and devices.is_first():
             _print(error.result)
-        print(f"jaxalign: {error}", file=sys.stderr)
         return 130
     if result is None:  # not the first process
         return 0

@@ -202,8 +202,8 @@ def test_an_aid_of_ones_own_is_on_the_bound():
 
 @pytest.mark.slow
 def test_a_car_without_gnss_is_on_the_bound():
-    made = scenario("car")
-    phi, sd, bound, _ = ends(made, ja.build("robust_map", tuple(one.aid for one in made.aids)), [1500, 2200, 3000])
+    made = scenario("car", duration=150.0)
+    phi, sd, bound, _ = ends(made, ja.build("robust_map", tuple(one.aid for one in made.aids)), [1000, 1500], runs=100)
     assert_on_the_bound(phi, sd, bound)
 
 
@@ -222,11 +222,12 @@ def test_a_doppler_log_with_a_dead_axis_is_on_the_bound(component):
 
 @pytest.mark.slow
 def test_the_offset_of_a_heading_is_found():
-    made = scenario("car", heading_sd_deg=0.5)
+    runs = 100
+    made = scenario("car", heading_sd_deg=0.5, duration=150.0)
     method = ja.build("robust_map", tuple(one.aid for one in made.aids), {"calibrate": "offset"})
-    phi, sd, bound, unknowns = ends(made, method, [3000])
+    phi, sd, bound, unknowns = ends(made, method, [1500], runs)
     assert_on_the_bound(phi, sd, bound)
-    keys = jax.random.split(jax.random.key(0), RUNS)
+    keys = jax.random.split(jax.random.key(0), runs)
     from jaxalign.simulate.measurement import source_keys
     from jaxalign.simulate.random import fold
 
@@ -235,4 +236,4 @@ def test_the_offset_of_a_heading_is_found():
     off = np.rad2deg(np.asarray(unknowns)[:, -1, 0] - true)
     print(np.std(np.rad2deg(true)), np.std(off))
     assert np.std(np.rad2deg(true)) > 2.0
-    assert np.sqrt(np.mean(off**2)) < 0.12  # 0.5 deg of 300 headings, and the heading of the unit
+    assert np.sqrt(np.mean(off**2)) < 1.1 * np.hypot(bound[0, 2], 0.5 / np.sqrt(150))  # of the unit, of the headings

@@ -101,11 +101,11 @@ def test_in_a_long_compiled_step():
 def test_in_a_long_compiled_step_of_a_command_that_may_save_something():
     text = f"""
         import jax
-        with patience():
+        with patience("go on with --resume"):
             print("ready", flush=True)
             {LOOP}
     """
-    assert interrupted(guarded(text)) == ("", "jaxalign: interrupted\n")
+    assert interrupted(guarded(text)) == ("", "jaxalign: interrupted; go on with --resume\n")
 
 
 def test_what_can_be_saved_is_saved(tmp_path):
