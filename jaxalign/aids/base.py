@@ -52,6 +52,8 @@ class Unknown:
         bounds: of a sensible standard deviation.
         seconds: after so long it has renewed itself (Gauss-Markov); None: it is constant.
         always: it is estimated whether asked for or not: the aid means nothing without it.
+        decades: how well ``sd`` itself is known, where a method fits it to the data: one standard deviation of its
+            decimal logarithm.
     """
 
     name: str
@@ -61,15 +63,16 @@ class Unknown:
     bounds: tuple[float, float] = (1e-9, 1e6)
     seconds: float | None = None
     always: bool = False
+    decades: float = 0.5
 
 
 LATENCY = Unknown("latency", 1, 0.1, "s", (1e-4, 5.0))
 """The values are of so long ago. The core takes care of it."""
 
 
-def slow_error(size: int, sd: float, unit: str, bounds: tuple[float, float]) -> Unknown:
+def slow_error(size: int, sd: float, unit: str, bounds: tuple[float, float], decades: float = 0.5) -> Unknown:
     """An error of every component that fades and renews itself. The core takes care of it."""
-    return Unknown("slow", size, sd, unit, bounds, seconds=300.0)
+    return Unknown("slow", size, sd, unit, bounds, seconds=300.0, decades=decades)
 
 
 STATE_VECTORS = ("attitude", "velocity", "gyro_bias", "accel_bias", "position")

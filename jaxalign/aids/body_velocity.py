@@ -28,7 +28,7 @@ class BodyVelocity(AbstractAxesVelocity):
         MOUNTING,
         LATENCY,
         LEVER,
-        slow_error(3, 0.005, "m/s", (1e-6, 10.0)),
+        slow_error(3, 0.005, "m/s", (1e-6, 10.0), decades=0.4),
     )
 
     @property

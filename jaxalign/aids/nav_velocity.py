@@ -28,7 +28,12 @@ class NavVelocity(AbstractAid):
     components: tuple[str, ...] = EAST_NORTH_UP  # pyright: ignore[reportIncompatibleMethodOverride]
     kind: ClassVar[str] = "nav"
     usual: ClassVar[tuple[str, ...]] = ("latency", "lever")
-    unknowns: ClassVar[tuple[Unknown, ...]] = (LATENCY, LEVER, slow_error(3, 0.005, "m/s", (1e-6, 10.0)))
+    unknowns: ClassVar[tuple[Unknown, ...]] = (
+        LATENCY,
+        LEVER,
+        # Velocities that a receiver makes of positions err by 1 m/s over tens of seconds, its Doppler by millimetres.
+        slow_error(3, 0.01, "m/s", (1e-6, 10.0), decades=1.0),
+    )
 
     def __post_init__(self):
         super().__post_init__()

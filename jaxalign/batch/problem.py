@@ -37,8 +37,9 @@ class Model(eqx.Module):
         fade_s: (c,) s: after so long an unknown has renewed itself; infinite for constants.
         tolerance: what a step moves a solution that has converged, in standard deviations.
         unknown: their names, of each aid.
-        aid_noise: how it is found.
+        aid_noise: how it is found; "held": it stays as it is.
         aids: what measures.
+        gyro_mean: (3, L) or a number: the bias of the gyroscopes that is expected beforehand, rad/s.
     """
 
     imu: ImuErrors
@@ -50,6 +51,7 @@ class Model(eqx.Module):
     unknown: Unknowns = eqx.field(static=True)
     aid_noise: str = eqx.field(static=True)
     aids: tuple[AbstractAid, ...] = eqx.field(static=True)
+    gyro_mean: Any = 0.0
 
 
 class Problem(eqx.Module):

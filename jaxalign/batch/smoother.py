@@ -26,6 +26,7 @@ __all__ = [
     "Smoothed",
     "cross_rows",
     "filter_forward",
+    "moved",
     "process_noise_effect",
     "propagate",
     "propagate_transposed",
@@ -114,7 +115,7 @@ def cross_rows(v: Any, rows: Any) -> Any:
     return jnp.stack([y * c - z * b, z * a - x * c, x * b - y * a])
 
 
-def _moved(row: Intervals, x: Any) -> Any:
+def moved(row: Intervals, x: Any) -> Any:
     """Tilt and velocity (6, ..., L) after an interval; x (12 or more, ..., L) before it."""
     tilt = x[TILT] - times(row.turned, x[GYRO])
     carried = x[VELOCITY] - cross_rows(row.gained, x[TILT]) - cross_rows(row.spin, x[VELOCITY])
@@ -123,7 +124,7 @@ def _moved(row: Intervals, x: Any) -> Any:
 
 def propagate(row: Intervals, fade: Any, x: Float[Array, "n L"]) -> Float[Array, "n L"]:
     """Errors at the epoch of a row from those at the one before it, without its defect."""
-    return jnp.concatenate([_moved(row, x), x[6:STATES], x[STATES:] * fade])
+    return jnp.concatenate([moved(row, x), x[6:STATES], x[STATES:] * fade])
 
 
 def propagate_transposed(row: Intervals, fade: Any, r: Float[Array, "n L"]) -> Float[Array, "n L"]:
@@ -140,8 +141,8 @@ def _propagated(row: Intervals, process: Process, p: Any) -> Any:
     """Covariance (n, n, L) after an interval: only its first six rows and columns are new, but for what fades."""
     ones = jnp.ones((STATES - 6, 1))
     fade = jnp.concatenate([jnp.broadcast_to(ones, (STATES - 6, process.fade.shape[-1])), process.fade])
-    top = _moved(row, p)
-    corner = _moved(row, jnp.swapaxes(top[:, :STATES], 0, 1)) + process.motion
+    top = moved(row, p)
+    corner = moved(row, jnp.swapaxes(top[:, :STATES], 0, 1)) + process.motion
     side = top[:, 6:] * fade
     rest = p[6:, 6:] * fade[:, None] * fade[None] + jnp.eye(len(fade))[:, :, None] * process.others[:, None]
     return jnp.concatenate(

@@ -31,10 +31,10 @@ from jaxalign.batch.trajectory import (
     by_tilt,
     mechanize,
 )
-from jaxalign.inertial_unit import by_axis
+from jaxalign.inertial_unit import ImuErrors, by_axis
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["initial_state", "linearize_problem", "step"]
+__all__ = ["advance", "initial_state", "linearize_problem", "motion_noise", "prior_of", "step", "with_steady"]
 
 _FREE = 1e3  # times the noise of a fix: nothing is known of the first velocity, and nothing lost to rounding
 _LEAST = 1e-12  # weight
@@ -69,7 +69,8 @@ def initial_state(model: Model, problem: Problem, pool: Pool, seen: IntegratedVe
     return jax.lax.stop_gradient(state)
 
 
-def _prior(model: Model, problem: Problem, state: State) -> Prior:
+def prior_of(model: Model, problem: Problem, state: State) -> Prior:
+    """Errors of the first epoch, by what is known beforehand."""
     lanes = state.moving.shape
     free = 0.0
     for aid, (stated, _), noise in zip(model.aids, problem.deviations, state.noise, strict=True):
@@ -81,7 +82,7 @@ def _prior(model: Model, problem: Problem, state: State) -> Prior:
     sd = [jnp.broadcast_to(jnp.asarray(x), (3, *lanes)) for x in blocks]
     unknown = model.sd if model.sd.ndim > 1 else model.sd[:, None]
     sd.append(jnp.broadcast_to(unknown, state.unknowns.shape))
-    mean = jnp.concatenate([jnp.zeros((6, *lanes)), -gyro, -accel, -state.unknowns])
+    mean = jnp.concatenate([jnp.zeros((6, *lanes)), model.gyro_mean - gyro, -accel, -state.unknowns])
     return Prior(mean, jnp.concatenate(sd) ** 2 + _KNOWN)
 
 
@@ -95,10 +96,10 @@ def _wander(model: Model, dt: Any) -> Array:
     return jnp.concatenate(gained, axis=1)
 
 
-def _motion(model: Model, intervals: Intervals) -> Array:
+def motion_noise(imu: ImuErrors, intervals: Intervals) -> Array:
     """(K, 6, 6, L) covariance of what the white noise of the unit does to tilt and velocity, n0."""
     dt, d = intervals.dt, intervals.gained
-    densities = [by_axis(triad.density) for triad in (model.imu.gyro, model.imu.accel)]
+    densities = [by_axis(triad.density) for triad in (imu.gyro, imu.accel)]
     unit = jnp.eye(3)[:, :, None]
     zero = jnp.zeros_like(dt)
     skew = jnp.stack([zero, -d[:, 2], d[:, 1], d[:, 2], zero, -d[:, 0], -d[:, 1], d[:, 0], zero], axis=1)
@@ -132,7 +133,7 @@ def _process(model: Model, intervals: Intervals) -> Process:
     fade = jnp.exp(-dt[:, None] / model.fade_s[:, None])
     unknown = model.sd if model.sd.ndim > 1 else model.sd[:, None]
     renewed = unknown**2 * (1.0 - fade**2)
-    return Process(_motion(model, intervals), jnp.concatenate([_wander(model, dt), renewed], axis=1), fade)
+    return Process(motion_noise(model.imu, intervals), jnp.concatenate([_wander(model, dt), renewed], axis=1), fade)
 
 
 def linearize_problem(model: Model, problem: Problem, state: State) -> LinearProblem:
@@ -150,21 +151,26 @@ def linearize_problem(model: Model, problem: Problem, state: State) -> LinearPro
         state.unknowns,
         state.steady,
     )
-    variance = []
-    for aid, (_, ratio), noise, used in zip(model.aids, problem.deviations, state.noise, problem.used, strict=True):
-        each = noise.whole / jnp.where(used, jnp.maximum(noise.weight, _LEAST), 1.0)
-        shape = (len(each), len(aid.components), each.shape[1])
-        variance.append(jnp.broadcast_to(each[:, None] * ratio, shape))
     return LinearProblem(
         intervals,
         _process(model, intervals),
         found.gap,
         found.slope,
-        jnp.concatenate(variance, axis=1),
+        _variances(model, problem, state),
         found.known,
-        _prior(model, problem, state),
+        prior_of(model, problem, state),
         problem.length,
     )
+
+
+def _variances(model: Model, problem: Problem, state: State) -> Float[Array, "K m L"]:
+    """Of the noise of each component, by what is thought of its fix."""
+    variance = []
+    for aid, (_, ratio), noise, used in zip(model.aids, problem.deviations, state.noise, problem.used, strict=True):
+        each = noise.whole / jnp.where(used, jnp.maximum(noise.weight, _LEAST), 1.0)
+        shape = (len(each), len(aid.components), each.shape[1])
+        variance.append(jnp.broadcast_to(each[:, None] * ratio, shape))
+    return jnp.concatenate(variance, axis=1)
 
 
 def step(model: Model, problem: Problem, state: State, late: Any, final: Any) -> tuple[State, Readout]:
@@ -180,10 +186,22 @@ def step(model: Model, problem: Problem, state: State, late: Any, final: Any) ->
         late: no trajectory is taken as far off any more.
         final: it is read out after this one.
     """
-    if state.steady is not None:
-        steady = jax.tree.map(lambda a, b: jnp.where(final, a, b), state.steady, state.at.velocity)
-        state = dataclasses.replace(state, steady=steady)
-    linear = linearize_problem(model, problem, state)
+    state = with_steady(state, final)
+    return advance(model, problem, state, linearize_problem(model, problem, state), late, final)
+
+
+def with_steady(state: State, final: Any) -> State:
+    """With the velocities at which slopes are taken: those of the trajectory, but for the step that is read out."""
+    if state.steady is None:
+        return state
+    steady = jax.tree.map(lambda a, b: jnp.where(final, a, b), state.steady, state.at.velocity)
+    return dataclasses.replace(state, steady=steady)
+
+
+def advance(
+    model: Model, problem: Problem, state: State, linear: LinearProblem, late: Any, final: Any
+) -> tuple[State, Readout]:
+    """A step from its linear problem, see :func:`step`."""
     found, error, noise = solve_linear(linear)
     early = state.early & jnp.logical_not(late)
     judged = _judged(model, problem, state, noise, early)
@@ -235,7 +253,10 @@ def _judged(model: Model, problem: Problem, state: State, noise: Any, early: Any
         )
         judged = jnp.where(early, median, before.variance)
         good, weight = weigh(own, judged, used, model.outlier_probability, model.outlier_ratio, count)
-        mean, times = estimate_noise(own, good, stated, model.aid_noise, count, share)
+        if model.aid_noise == "held":
+            mean, times = before.variance, jnp.ones_like(before.variance)
+        else:
+            mean, times = estimate_noise(own, good, stated, model.aid_noise, count, share)
         out.append((weight, mean, times, judged))
     return out
 

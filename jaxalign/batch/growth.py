@@ -1,0 +1,98 @@
+"""A start that survives large biases: windows that grow from the first seconds to the whole record.
+
+A gyroscope bias of degrees per second turns the path by a hundred degrees before there is anything to linearise about.
+Over the first seconds it does not; each window then begins with what the one before it has found, and the trajectory
+goes on from its end.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxalign.batch.problem import AidNoise, Problem, State
+from jaxalign.batch.trajectory import NominalTrajectory
+from jaxalign.preintegration import Increment
+from jaxalign.propagation import Place, advance_nav
+from jaxalign.vector import Vec3
+
+__all__ = ["LEVELS", "extend", "window_ends", "with_gyro_bias"]
+
+LEVELS = 10
+_FIRST, _RATIO = 4.0, 1.6  # s; of one window to the one before it
+_FEWEST = 3  # fixes in the first
+
+
+def window_ends(time: Float[np.ndarray, " K"], aided: np.ndarray, last: int) -> np.ndarray:
+    """(10,) the last epoch of each window, host.
+
+    Args:
+        time: of the epochs, s.
+        aided: (K,) whether there is a fix.
+        last: epoch that the last one ends at.
+    """
+    span = float(time[last] - time[0])
+    ratio = max(_RATIO, (max(span, _FIRST) / _FIRST) ** (1.0 / (LEVELS - 1)))
+    ends = np.searchsorted(time - time[0], _FIRST * ratio ** np.arange(LEVELS))
+    fixes = np.flatnonzero(aided[: last + 1])
+    least = int(fixes[_FEWEST - 1]) if len(fixes) >= _FEWEST else last
+    ends = np.clip(ends, max(2, least), None)
+    ends[-1] = last
+    return np.minimum(ends, last)
+
+
+def extend(problem: Problem, state: State, after: Any) -> State:
+    """The trajectory from an epoch on mechanized from the state there; fixes beyond it count in full.
+
+    Args:
+        problem: its rows and its site.
+        state: what is known.
+        after: (L,) the last epoch that stays as it is.
+    """
+    start = Place.of(problem.site)
+    w_ie = start.earth_rate
+    lanes = state.moving.shape
+    index = jnp.arange(len(problem.rows.dt))
+
+    def step(carry: Any, row: Any) -> Any:
+        (q, v, gyro, accel), q_n0n, north = carry
+        epoch, now, n_now, k = row
+        dt = epoch.dt
+        moved = Increment(epoch.rotation, epoch.dvel).corrected(gyro, accel, dt)
+        gained = q.rotate(moved.dvel)
+        meridian, _ = start.circle.radii
+        place = Place(start.circle.moved(north / (meridian + start.h)), start.h, start.anomaly)
+        in_n = q_n0n.conjugate().rotate(v)
+        rate = place.earth_rate + place.transport_rate(in_n)
+        new_n, fallen = advance_nav(q_n0n, rate, place.gravity, dt)
+        middle = v + (gained + fallen) * 0.5
+        ahead = (q * moved.rotation).renormalised(), v + gained + fallen - w_ie.cross(middle) * dt, gyro, accel
+        kept = k <= after
+        at = jax.tree.map(lambda a, b: jnp.where(kept, a, b), now, ahead)
+        n = jax.tree.map(lambda a, b: jnp.where(kept, a, b), n_now, new_n)
+        return (at, n, north + in_n.y * dt), (at, n)
+
+    nominal = state.at.attitude, state.at.velocity, state.at.gyro, state.at.accel
+    first = jax.tree.map(lambda x: x[0], (nominal, state.q_n0n))
+    rows = problem.rows, nominal, state.q_n0n, index
+    _, (at, q_n0n) = jax.lax.scan(step, (*first, jnp.zeros(lanes)), rows)
+    fresh = index[:, None] > after
+    noise = tuple(
+        AidNoise(jnp.where(fresh, 1.0, one.weight), one.variance, jnp.ones_like(one.times)) for one in state.noise
+    )
+    return dataclasses.replace(state, at=NominalTrajectory(*at), q_n0n=q_n0n, noise=noise)
+
+
+def with_gyro_bias(state: State, gyro: Any) -> State:
+    """The same trajectory with this bias (3, L) of the gyroscopes at all epochs."""
+    shape = state.at.gyro.x.shape
+    return dataclasses.replace(
+        state, at=dataclasses.replace(state.at, gyro=Vec3(*(jnp.broadcast_to(x, shape) for x in gyro)))
+    )
+
+
