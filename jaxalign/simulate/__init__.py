@@ -1,4 +1,4 @@
-"""Simulated logs: analytic trajectories, exact increments, sensor errors, faults of the aid, named scenarios.
+"""Simulated logs: analytic trajectories, exact increments, sensor errors, faults, named scenarios.
 
     truth(scenario)                    once: perfect increments and the states at the epochs
     measure(truth, scenario, key)      per run: pure, `vmap` it over keys
@@ -6,7 +6,8 @@
     simulate("dvl-sturn", seed=1)      both, as a `Log`
     scenario_file("harbour.toml")      a scenario of one's own
 
-A new motion is a `Trajectory` of signals; a new fault of the aid is a module ``(key, t, error) -> error``.
+A new motion is a `Trajectory` of signals; a new fault of an aid is a module ``(key, t, error) -> error``, one
+of the inertial unit ``(key, t, dt, dtheta, dvel) -> (dtheta, dvel)``.
 """
 
 from __future__ import annotations
@@ -21,6 +22,22 @@ if TYPE_CHECKING:
     from jaxalign.simulate.faults import AbstractFault, DeadComponent, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
     from jaxalign.simulate.file import scenario_file
     from jaxalign.simulate.imu import Truth, exact_increments, specific_force, turn_rate
+    from jaxalign.simulate.imu_faults import (
+        AbstractImuFault,
+        Drift,
+        GSensitivity,
+        IncrementQuantisation,
+        Misalignment,
+        PointSamples,
+        RateQuantisation,
+        Saturation,
+        ScaleFactor,
+        Spikes,
+        Stuck,
+        Vibration,
+        WarmUp,
+        Zeros,
+    )
     from jaxalign.simulate.measurement import (
         Scenario,
         aid_values,
@@ -52,27 +69,41 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AbstractFault",
+    "AbstractImuFault",
     "AbstractSignal",
     "AbstractVelocity",
     "Constant",
     "CourseVelocity",
     "DeadComponent",
+    "Drift",
     "FixedOutliers",
+    "GSensitivity",
     "Gap",
+    "IncrementQuantisation",
     "Intervals",
     "JumpOutliers",
+    "Misalignment",
+    "PointSamples",
     "Ramps",
+    "RateQuantisation",
+    "Saturation",
+    "ScaleFactor",
     "Scenario",
     "SegmentOutliers",
     "SimulatedAid",
     "SineForce",
     "Sines",
+    "Spikes",
     "Steps",
+    "Stuck",
     "Sum",
     "Trajectory",
     "Truth",
     "VelocityInBody",
     "VelocityInNav",
+    "Vibration",
+    "WarmUp",
+    "Zeros",
     "accelerate_and_turn",
     "aid_values",
     "draw_bias",
@@ -106,6 +137,8 @@ _HOMES = {
     "faults": "AbstractFault DeadComponent FixedOutliers Gap JumpOutliers SegmentOutliers",
     "file": "scenario_file",
     "imu": "Truth exact_increments specific_force turn_rate",
+    "imu_faults": "AbstractImuFault Drift GSensitivity IncrementQuantisation Misalignment PointSamples "
+    "RateQuantisation Saturation ScaleFactor Spikes Stuck Vibration WarmUp Zeros",
     "measurement": "Scenario aid_values imu_increments log_of measure noiseless truth",
     "motions": "accelerate_and_turn road s_turn static_base sway_underway swaying_base zigzag",
     "named": "scenario scenario_options scenarios simulate",
