@@ -5,6 +5,7 @@
     measure_epochs(intervals_of(truth, samples), scenario, key)   the same, noise drawn per interval: far cheaper
     simulate("dvl-sturn", seed=1)      both, as a `Log`
     scenario_file("harbour.toml")      a scenario of one's own
+    with_mistake(log, "ned")           what people get wrong about a log, recorded or simulated
 
 A new motion is a `Trajectory` of signals; a new fault of an aid is a module ``(key, t, error) -> error``, one
 of the inertial unit ``(key, t, dt, dtheta, dvel) -> (dtheta, dvel)``.
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
         zigzag,
     )
     from jaxalign.simulate.named import scenario, scenario_options, scenarios, simulate
+    from jaxalign.simulate.named_mistakes import MISTAKES, Mistake, with_mistake
     from jaxalign.simulate.sensors import SineForce, draw_bias
     from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps, Sum
     from jaxalign.simulate.trajectory import (
@@ -68,6 +70,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "MISTAKES",
     "AbstractFault",
     "AbstractImuFault",
     "AbstractSignal",
@@ -83,6 +86,7 @@ __all__ = [
     "Intervals",
     "JumpOutliers",
     "Misalignment",
+    "Mistake",
     "PointSamples",
     "Ramps",
     "RateQuantisation",
@@ -128,6 +132,7 @@ __all__ = [
     "swaying_base",
     "truth",
     "turn_rate",
+    "with_mistake",
     "zigzag",
 ]
 
@@ -142,6 +147,7 @@ _HOMES = {
     "measurement": "Scenario aid_values imu_increments log_of measure noiseless truth",
     "motions": "accelerate_and_turn road s_turn static_base sway_underway swaying_base zigzag",
     "named": "scenario scenario_options scenarios simulate",
+    "named_mistakes": "MISTAKES Mistake with_mistake",
     "sensors": "SineForce draw_bias",
     "signals": "AbstractSignal Constant Ramps Sines Steps Sum",
     "trajectory": "AbstractVelocity VelocityInBody CourseVelocity VelocityInNav Trajectory",
