@@ -462,8 +462,9 @@ class Spikes(AbstractImuFault):
 
     def hits(self, key: PRNGKeyArray, t: Float[Array, " n"], dt: Any) -> Bool[Array, " n"]:
         """Which samples this key hits."""
-        if self.times is None:
+        if self.probability is not None:
             return jax.random.uniform(key, t.shape, jnp.float64) < self.probability
+        assert self.times is not None
         rows = jnp.searchsorted(t, self.times - _TICK * dt)
         return jnp.zeros(t.shape, bool).at[rows].set(True, mode="drop")
 
