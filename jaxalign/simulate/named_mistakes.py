@@ -191,7 +191,7 @@ MISTAKES: dict[str, Mistake] = {
         "rates of the unit over an interval that is stated 1 % too long",
         partial(imu_clock, percent=1.0),
         ANY_AID,
-        _STRAIGHT,
+        "at constant velocity without turning: rates and forces are right, and nothing tells the time",
     ),
     "imu-interval": Mistake(
         "increments of the unit over an interval that is stated 3 % too long",
