@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -104,8 +105,8 @@ def bound(scenario: Scenario, exact: Truth | None = None) -> Bound:
     they wander as it states.
 
     The filter that is optimal for small errors, along the true path: its covariance is the bound wherever that is
-    small against a radian, and a uniform angle's where nothing is known. Outliers are left out, gaps are not. What runs
-    draw of the unknowns of an aid (``unknown_sd``) is unknown to it too.
+    small against a radian, and a uniform angle's where nothing is known. Outliers and faults of the inertial unit are
+    left out, gaps are not. What runs draw of the unknowns of an aid (``unknown_sd``) is unknown to it too.
 
     Args:
         scenario: its aid, sensors and path.
@@ -118,6 +119,7 @@ def bound(scenario: Scenario, exact: Truth | None = None) -> Bound:
     if scenario.force is not None:
         raise UserError(f"{scenario.name}: the disturbance of its base is not white noise: there is no bound for it")
     exact = truth(scenario) if exact is None else exact
+    scenario = dataclasses.replace(scenario, imu_faults=())
     epochs = _measured(exact, scenario)
     unknowns = tuple(_drawn(one) for one in scenario.aids) or ({},)
     epochs = epochs.with_sd(tuple(one.sd for one in scenario.aids) or _EXACT)

@@ -8,7 +8,8 @@ W_j = sum_{i>j} V_i + V_j / 2 what comes after it, errors e_j, a_j of its increm
     d(rotation) = sum R_j e_j
     d(velocity) = sum R_j a_j - sum W_j x R_j e_j
 
-Not for what looks at single samples: prefilters, vectors at IMU rate, a disturbance that is not white.
+Not for what looks at single samples: prefilters, vectors at IMU rate, a disturbance that is not white, faults of the
+unit.
 """
 
 from __future__ import annotations
@@ -90,10 +91,12 @@ def measure_epochs(
         aids: that the epochs hold; None: all of the scenario, or that of a vehicle that stands.
 
     Raises:
-        UserError: the scenario has a disturbance of the force, which is not white.
+        UserError: the scenario has a disturbance of the force, which is not white, or faults of the inertial unit.
     """
     if scenario.force is not None:
         raise UserError("a disturbed base needs noise at IMU rate: fidelity 'samples'")
+    if scenario.imu_faults:
+        raise UserError("faults of the inertial unit act on single IMU samples: fidelity 'samples', or use measure")
     dt, n, runs = intervals.truth.dt, intervals.samples, key.shape
     count = intervals.dvel.x.shape[0]
 
@@ -203,10 +206,11 @@ def sample_epochs(
         aids: as in :func:`measure_epochs`.
 
     Raises:
-        UserError: the scenario has a disturbance of the force.
+        UserError: the scenario has a disturbance of the force or faults of the inertial unit.
     """
-    if scenario.force is not None:
-        raise UserError("a disturbed base is measured sample by sample: use measure")
+    if scenario.force is not None or scenario.imu_faults:
+        what = "a disturbed base is" if scenario.force is not None else "faults of the inertial unit are"
+        raise UserError(f"{what} measured sample by sample: use measure")
     count, dt = truth.dtheta.shape[0] // samples, truth.dt
     sources: list[tuple[Array, PRNGKeyArray, Any]] = []
     imu, kind, runs = scenario.imu, scenario.bias, key.shape

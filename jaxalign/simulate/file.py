@@ -37,6 +37,18 @@
     probability = 0.02           # "jump": probability, low, high, first; "gap": start, stop;
                                  # "dead": component (from 0), start, stop
 
+    [[imu_faults]]               # of the inertial unit, applied in this order (docs/faults.md); with --fidelity samples
+    kind = "warm-up"             # time_constant, gyro_deg_h, accel_ug, drawn; numbers are one, or one for each axis
+    time_constant = 60.0
+    gyro_deg_h = 5.0             # "drift": gyro_deg_h_h, accel_ug_h, drawn;
+                                 # "scale-factor", "misalignment": gyro_percent, accel_percent, drawn;
+                                 # "g-sensitivity": deg_h_g, drawn;
+                                 # "increment-quantisation": gyro_arcsec, accel_mm_s;
+                                 # "rate-quantisation": gyro_deg_s, accel_mg; "saturation": gyro_deg_s, accel_g;
+                                 # "vibration": frequency, gyro_deg_s, accel_mg, random_phase;
+                                 # "zeros", "stuck": start, stop, triad ("gyro", "accel", "both"), axes ("xyz");
+                                 # "spikes": gyro_deg_s, accel_g, and probability or times; "point-samples": every
+
     [force]                      # of a shaken base
     amplitude_mg = 10.0          # frequency = [1.0, 5.0], random_start
 
@@ -76,6 +88,22 @@ from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
 from jaxalign.simulate import motions
 from jaxalign.simulate.aid import SimulatedAid
 from jaxalign.simulate.faults import AbstractFault, DeadComponent, FixedOutliers, Gap, JumpOutliers, SegmentOutliers
+from jaxalign.simulate.imu_faults import (
+    AbstractImuFault,
+    Drift,
+    GSensitivity,
+    IncrementQuantisation,
+    Misalignment,
+    PointSamples,
+    RateQuantisation,
+    Saturation,
+    ScaleFactor,
+    Spikes,
+    Stuck,
+    Vibration,
+    WarmUp,
+    Zeros,
+)
 from jaxalign.simulate.measurement import Scenario
 from jaxalign.simulate.named import scenario
 from jaxalign.simulate.sensors import SineForce
@@ -96,12 +124,27 @@ _MOTIONS: dict[str, Callable[..., Trajectory]] = {
         motions.static_base,
     )
 }
-_FAULTS = {
+_FAULTS: dict[str, type[AbstractFault]] = {
     "fixed": FixedOutliers,
     "segment": SegmentOutliers,
     "jump": JumpOutliers,
     "gap": Gap,
     "dead": DeadComponent,
+}
+_IMU_FAULTS: dict[str, type[AbstractImuFault]] = {
+    "warm-up": WarmUp,
+    "drift": Drift,
+    "scale-factor": ScaleFactor,
+    "misalignment": Misalignment,
+    "g-sensitivity": GSensitivity,
+    "increment-quantisation": IncrementQuantisation,
+    "rate-quantisation": RateQuantisation,
+    "saturation": Saturation,
+    "vibration": Vibration,
+    "zeros": Zeros,
+    "stuck": Stuck,
+    "spikes": Spikes,
+    "point-samples": PointSamples,
 }
 _VELOCITY: dict[str, tuple[Callable[..., AbstractVelocity], tuple[str, ...]]] = {
     "body": (VelocityInBody, ("right", "forward", "up")),
@@ -134,7 +177,7 @@ def scenario_file(path: str | os.PathLike[str]) -> Scenario:
 
 def _scenario(table: Mapping[str, Any], stem: str) -> Scenario:
     known = ("name", "base", "options", "duration", "imu_rate", "epoch", "aid", "aid_sd", "aids", "bias")
-    _check_keys(table, (*known, "site", "gyro", "accel", "faults", "force", "motion", "trajectory"), "")
+    _check_keys(table, (*known, "site", "gyro", "accel", "faults", "imu_faults", "force", "motion", "trajectory"), "")
     parts: dict[str, Any] = {"name": _text(table, "name", stem)}
     if "base" in table:
         options = dict(_table(table, "options"))
@@ -182,6 +225,8 @@ def _scenario(table: Mapping[str, Any], stem: str) -> Scenario:
     for key, (field, make) in makers.items():
         if key in table:
             parts[field] = make(_table(table, key))
+    if "imu_faults" in table:
+        parts["imu_faults"] = _faults(table["imu_faults"], "imu_faults", _IMU_FAULTS)
     if {"aid", "aid_sd", "faults", "aids"} & set(table):
         parts["aids"] = _aids(table, parts.get("aids", ()), parts["epoch_samples"] / parts["imu_rate"])
     return Scenario(**parts)
@@ -199,7 +244,7 @@ def _aids(table: Mapping[str, Any], base: tuple[SimulatedAid, ...], epoch: float
     if "aid_sd" in table:
         given["sd"] = _number(table, "aid_sd")
     if "faults" in table:
-        given["faults"] = _faults(table["faults"])
+        given["faults"] = _faults(table["faults"], "faults", _FAULTS)
     kind = _text(table, "aid") if "aid" in table else (base[0].aid.kind if base else Standing.kind)
     if kind == Standing.kind:
         return ()
@@ -228,7 +273,7 @@ def _aid(table: Any, where: str, epoch: float) -> SimulatedAid:
         if every < 1 or abs(every - round(every)) > 1e-6:
             raise UserError(f"interval: {every * epoch:g} s are {every:g} epochs: not a whole number")
         values, deviations = (_table(table, key, where) for key in ("unknowns", "unknown_sd"))
-        faults = _faults(table.get("faults", []))
+        faults = _faults(table.get("faults", []), "faults", _FAULTS)
         return SimulatedAid(aid, table.get("sd", 0.0), faults, values, deviations, round(every))
     except UserError as error:
         raise UserError(f"[{where}] {error}".replace(f"[{where}] [{where}]", f"[{where}]")) from None
@@ -255,18 +300,19 @@ def _motion(table: Mapping[str, Any]) -> Trajectory:
     return _called(_MOTIONS[name], {k: v for k, v in table.items() if k != "name"}, "motion")
 
 
-def _faults(tables: Any) -> tuple[AbstractFault, ...]:
+def _faults(tables: Any, name: str, known: Mapping[str, Callable[..., Any]]) -> tuple[Any, ...]:
+    """Faults of the known kinds, from the tables of a name."""
     if not isinstance(tables, list):
-        raise UserError("faults: write each as a table [[faults]]")
+        raise UserError(f"{name}: write each as a table [[{name}]]")
     out = []
     for i, table in enumerate(tables):
-        where = f"faults {i + 1}"
+        where = f"{name} {i + 1}"
         if not isinstance(table, Mapping):
-            raise UserError(f"faults: {table!r} is no table: write each as [[faults]]")
+            raise UserError(f"{name}: {table!r} is no table: write each as [[{name}]]")
         kind = _text(table, "kind", where=where)
-        if kind not in _FAULTS:
-            raise UserError(f"[{where}] kind: unknown {kind!r}; {nearest(kind, _FAULTS)}")
-        out.append(_called(_FAULTS[kind], {k: v for k, v in table.items() if k != "kind"}, where))
+        if kind not in known:
+            raise UserError(f"[{where}] kind: unknown {kind!r}; {nearest(kind, known)}")
+        out.append(_called(known[kind], {k: v for k, v in table.items() if k != "kind"}, where))
     return tuple(out)
 
 

@@ -1,4 +1,4 @@
-"""A scenario (trajectory, rates, sensor errors, aid and its faults), its truth, and measurements per key.
+"""A scenario (trajectory, rates, sensor errors, aids, faults), its truth, and measurements per key.
 
 `truth` (once) and `measure` (per key) are apart: a thousand runs share one truth, and `measure` is pure.
 """
@@ -21,12 +21,14 @@ from jaxalign.measurements import Measurements
 from jaxalign.precision import require_x64
 from jaxalign.simulate.aid import SimulatedAid, values_of
 from jaxalign.simulate.imu import Truth, jitted_increments
+from jaxalign.simulate.imu_faults import AbstractImuFault
 from jaxalign.simulate.random import fold
 from jaxalign.simulate.sensors import BIAS_KINDS, BiasKind, SineForce, triad_increments
 from jaxalign.simulate.trajectory import Trajectory
 
 __all__ = ["Scenario", "aid_values", "imu_increments", "log_of", "measure", "noiseless", "truth"]
 
+_IMU_FAULTS = 5  # what the key of a run is folded with to draw them; below are the sources
 _MOST_SAMPLES = 2e7  # some 10 GB while the truth is made
 
 
@@ -42,6 +44,7 @@ class Scenario(eqx.Module):
         imu: errors of the inertial unit.
         aids: each with its noise and faults; none: the vehicle stands.
         force: disturbance of a shaken base.
+        imu_faults: of the inertial unit, applied in this order to what it measures, errors and disturbance included.
         bias: how a run draws its biases from ``imu``: "sign", "gaussian" or "fixed", see
             :func:`jaxalign.simulate.draw_bias`.
         duration: s, a whole number of epochs.
@@ -55,6 +58,7 @@ class Scenario(eqx.Module):
     imu: ImuErrors = eqx.field(default_factory=ImuErrors)
     aids: tuple[SimulatedAid, ...] = ()
     force: SineForce | None = None
+    imu_faults: tuple[AbstractImuFault, ...] = ()
     bias: BiasKind = eqx.field(static=True, default="sign")
     duration: float = eqx.field(default=300.0, static=True)
     imu_rate: float = eqx.field(default=200.0, static=True)
@@ -66,6 +70,11 @@ class Scenario(eqx.Module):
         names = [one.aid.name for one in self.aids]
         if twice := [name for name in names if names.count(name) > 1]:
             raise UserError(f"aids: two are called {twice[0]!r}: give them names of their own (name=...)")
+        if not isinstance(self.imu_faults, tuple) or not all(isinstance(x, AbstractImuFault) for x in self.imu_faults):
+            raise UserError(
+                f"imu_faults: must be a tuple of faults of the inertial unit, got {self.imu_faults!r}; those of an aid "
+                "go into its SimulatedAid"
+            )
         if not 0 < self.imu_rate < np.inf:
             raise UserError(f"imu_rate: must be a positive number of Hz, got {self.imu_rate!r}")
         whole_number("epoch_samples", self.epoch_samples, of="IMU samples")
@@ -122,7 +131,7 @@ def truth(scenario: Scenario) -> Truth:
 
 
 def source_keys(key: PRNGKeyArray) -> tuple[PRNGKeyArray, ...]:
-    """Keys of gyroscopes, accelerometers, disturbance, aid noise and faults.
+    """Keys of gyroscopes, accelerometers, disturbance, noise and faults of the aids.
 
     Each source has its own, so that switching one on leaves the draws of the others alone.
     """
@@ -140,6 +149,11 @@ def imu_increments(
     dvel = truth.dvel + triad_increments(imu.accel, kind, accel, samples, truth.dt)
     if scenario.force is not None:
         dvel = dvel + scenario.force.increments(force, samples, truth.dt)
+    if scenario.imu_faults:
+        own = fold(key, _IMU_FAULTS)
+        t = jnp.arange(1, samples + 1, dtype=jnp.float64) * truth.dt
+        for i, fault in enumerate(scenario.imu_faults):
+            dtheta, dvel = fault(fold(own, i), t, truth.dt, dtheta, dvel)
     return dtheta, dvel
 
 
@@ -175,7 +189,8 @@ def measure(
 def noiseless(scenario: Scenario) -> Scenario:
     """A scenario with perfect sensors: no bias and no noise, hence no scaled outliers.
 
-    Gaps, jumps and the disturbance of the base stay: they are not noise of a sensor. The `sd` of the aids becomes zero.
+    Gaps, jumps, the disturbance of the base and faults of the inertial unit stay: they are not noise of a sensor. The
+    `sd` of the aids becomes zero.
     """
     perfect = jax.tree.map(jnp.zeros_like, scenario.imu)
     aids = tuple(one.perfect for one in scenario.aids)

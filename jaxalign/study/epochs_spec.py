@@ -121,7 +121,7 @@ def run_axes(epochs: Epochs) -> Epochs:
 
 def _sampled(exact: Truth, made: Scenario, spec: EpochsSpec, keys: PRNGKeyArray) -> Epochs:
     """A few runs at a time, whose samples fit into the cache (or, where they are filtered, into memory)."""
-    whole = spec.prefilter is None and made.force is None and spec.samples > 1
+    whole = spec.prefilter is None and made.force is None and not made.imu_faults and spec.samples > 1
     whole = whole and len(keys) > _FEW
     wide = jax.default_backend() != "cpu"  # no cache to fit into, and each kernel has its price
     most = (
@@ -176,6 +176,18 @@ def _intervals(exact: Truth, samples: int) -> Intervals:
     return _known[0][1]
 
 
+def _check_no_samples(made: Scenario, spec: EpochsSpec) -> None:
+    """Refuse what noise per interval cannot show."""
+    needs = (
+        ("a prefilter looks at", spec.prefilter is not None),
+        ("a disturbance of the base acts at", made.force is not None),
+        ("faults of the inertial unit (imu_faults) act on", bool(made.imu_faults)),
+    )
+    for what, there in needs:
+        if there:
+            raise UserError(f"{what} single IMU samples: choose the fidelity 'samples' (--fidelity samples)")
+
+
 _first = eqx.filter_jit(lambda model, keys: model.epochs(keys))
 
 
@@ -195,8 +207,8 @@ def run_model(
         exact: the truth, if it is at hand.
 
     Raises:
-        UserError: a prefilter or a disturbance of the force with noise per interval, or a static method on a vehicle
-            that moves.
+        UserError: a prefilter, a disturbance of the force or faults of the inertial unit with noise per interval, or a
+            static method on a vehicle that moves.
     """
     exact = truth(made) if exact is None else exact
     standing = is_standing(spec.aids)
@@ -204,9 +216,8 @@ def run_model(
         raise UserError(
             f"the method takes the vehicle as standing, but in {made.name} it moves at up to {speed:.1f} m/s"
         )
-    if fidelity == "increments" and (spec.prefilter is not None or made.force is not None):
-        what = "a prefilter looks" if spec.prefilter is not None else "a disturbance of the base acts"
-        raise UserError(f"{what} at single IMU samples: choose the fidelity 'samples' (--fidelity samples)")
+    if fidelity == "increments":
+        _check_no_samples(made, spec)
     intervals = _intervals(exact, spec.samples) if fidelity == "increments" else None
     stated = tuple(None if number < 0 else made.aids[number].sd for _, number in observed(made, spec.aids))
     nominal = tuple(jnp.ones(()) if sd is None else sd for sd in stated)

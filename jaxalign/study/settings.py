@@ -42,7 +42,7 @@ class Study:
         seed: of all the runs; run i is the same whatever the methods, chunks and devices.
         every: epochs of the scenario between two read-outs; by default 10, or all of a scenario with fewer.
         fidelity: "increments" draws the noise per epoch interval (exact to first order, far cheaper);
-            "samples" per IMU sample: for prefilters and disturbances of the base, and to compare.
+            "samples" per IMU sample: for prefilters, disturbances of the base and faults of the unit, and to compare.
         tolerance_deg: of `within` and of the convergence time.
         window: (start, stop) s over which the accuracy of a run is taken: start < t <= stop. By default the last 50 s,
             or the last half of a shorter scenario.

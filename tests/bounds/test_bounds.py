@@ -1,5 +1,7 @@
 """The Cramer-Rao bound: figures of others, closed forms, and what must make it larger or smaller."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from frozen import case
@@ -10,7 +12,7 @@ from jaxalign.bounds import bound
 from jaxalign.cli.main import main
 from jaxalign.earth import Site
 from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
-from jaxalign.simulate import Scenario, noiseless, scenario, static_base
+from jaxalign.simulate import Drift, Scenario, noiseless, scenario, static_base
 
 EARTH_RATE, GRAVITY = 7.292115e-5, 9.795
 
@@ -52,6 +54,12 @@ def test_closed_form_for_white_noise_of_the_aid():
     for t in (200.0, 300.0):
         a = 0.5 * GRAVITY * EARTH_RATE * np.cos(float(made.site.lat)) * t**2
         np.testing.assert_allclose(heading(found, t)[0], np.rad2deg(0.1 * np.sqrt(180 / t) / a), rtol=0.03)
+
+
+def test_faults_of_the_unit_are_left_out():
+    made = scenario("dvl-sturn")
+    spoilt = dataclasses.replace(made, imu_faults=(Drift(100.0),))
+    np.testing.assert_array_equal(bound(spoilt).euler_deg, bound(made).euler_deg)
 
 
 @pytest.mark.slow
