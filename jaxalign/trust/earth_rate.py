@@ -1,0 +1,72 @@
+"""The Earth's rotation at rest: it must rise against gravity by the latitude.
+
+Gyroscopes whose signs are inverted, and a latitude of the wrong sign, turn the elevation of the mean rate round. The
+check speaks only where the mean rate is the Earth's in both parts, along gravity and across it, but for the sign of
+the first: within 5 % of the Earth's rate (0.75 deg/h, the bias of a fibre-optic gyroscope), three standard errors
+included. A unit with random biases b of a size like the Earth's rate gets there by chance: the tube of that radius
+about a circle has 2 pi cos(lat) pi 0.05^2 = 0.05 of a unit volume, so 2 in 1000 of units of 15 deg/h and 1 in 1e5 of
+100 deg/h, where their white noise lets the mean be known so well at all.
+
+Means are taken with a smooth taper (Hann) over eight parts of a stretch: what sways and comes back leaves none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxalign.log import Log
+from jaxalign.trust.channels import clock
+from jaxalign.trust.finding import Finding
+from jaxalign.trust.standing import Stretch, stretches
+from jaxalign.wgs84 import EARTH_RATE
+
+__all__ = ["earth_rate_findings", "mean_rate"]
+
+_NEAR = 0.05  # of the Earth's rate
+_PARTS = 8
+_LEAST = 10.0  # s of a stretch
+_DEG_H = np.degrees(3600.0)
+
+
+def mean_rate(log: Log, stretch: Stretch) -> tuple[float, float, float]:
+    """Mean rate along and across the specific force, and its standard error, of a stretch, rad/s.
+
+    The standard error is that of one component, from the scatter of the parts.
+    """
+    size = (stretch.stop - stretch.first) // _PARTS
+    where = slice(stretch.first, stretch.first + size * _PARTS)
+    taper = np.hanning(size + 2)[1:-1]
+    taper /= taper.sum() * log.dt
+    rates, forces = (x[where].reshape(_PARTS, size, 3).transpose(0, 2, 1) @ taper for x in (log.dtheta, log.dvel))
+    error = float(np.sqrt(rates.var(axis=0, ddof=1).mean() / _PARTS))
+    up = forces.mean(axis=0)
+    up /= max(float(np.linalg.norm(up)), 1e-300)
+    rate = rates.mean(axis=0)
+    along = float(rate @ up)
+    return along, float(np.linalg.norm(rate - along * up)), error
+
+
+def earth_rate_findings(log: Log) -> tuple[Finding, ...]:
+    """The Earth seems to turn the wrong way: by the longest stretch at rest that can tell."""
+    found = sorted(stretches(log), key=lambda x: x.first - x.stop)
+    for stretch in found:
+        if (stretch.stop - stretch.first) * log.dt < _LEAST or stretch.stop - stretch.first < 4 * _PARTS:
+            break
+        along, across, error = mean_rate(log, stretch)
+        if 3.0 * error > _NEAR * EARTH_RATE:
+            continue
+        right, wrong = (
+            float(np.hypot(along - sign * EARTH_RATE * np.sin(log.lat), across - EARTH_RATE * np.cos(log.lat)))
+            for sign in (1.0, -1.0)
+        )
+        limit = _NEAR * EARTH_RATE
+        if wrong > limit or right < 4.0 * limit:  # the second: too near to the equator to tell
+            return ()
+        elevation, lat = np.degrees([np.arctan2(along, across), log.lat])
+        text = (
+            f"at rest from {clock(log, stretch.first)} to {clock(log, stretch.stop)} s the Earth seems to turn the wrong "
+            f"way: the mean rate ({_DEG_H * np.hypot(along, across):.2f} deg/h) is {elevation:+.1f} deg above the horizon, "
+            f"at a latitude of {lat:+.1f} deg: gyro signs are inverted, or the latitude has the wrong sign"
+        )
+        return (Finding("Earth's rotation", float(elevation), float(lat), False, text),)
+    return ()

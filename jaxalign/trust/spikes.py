@@ -1,0 +1,67 @@
+"""Single samples that stand apart from both neighbours by more than the tail of all others explains.
+
+How far a sample is outside what its neighbours say: the distance from the range between the medians of the three
+before and the three after. A step of the motion, at a sample or within one, gives nothing. What a vehicle does in
+blows is in the tail of the log itself (:func:`jaxalign.trust.chance.tail_gap`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxalign.log import Log
+from jaxalign.trust.chance import tail_gap
+from jaxalign.trust.channels import channels, clock, quantum
+from jaxalign.trust.finding import Finding
+from jaxalign.trust.stuck import LOST_ANGLE
+
+__all__ = ["outside", "spike_findings"]
+
+_BLOW = 1.0  # m/s: a body falls 5 cm for it; a blow may do it within one sample
+_ALONE = 0.1  # of the spike: what its neighbours may show
+
+
+def _median3(x: np.ndarray) -> np.ndarray:
+    a, b, c = x[:-2], x[1:-1], x[2:]
+    return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+
+
+def outside(x: np.ndarray) -> np.ndarray:
+    """(N,) signed distance of each sample from what its neighbours say; 0 for the first and last three."""
+    out = np.zeros(len(x))
+    if len(x) < 7:
+        return out
+    medians = _median3(x)  # of i-1, i, i+1 at i - 1
+    before, after = medians[:-4], medians[4:]
+    here = x[3:-3]
+    low, high = np.minimum(before, after), np.maximum(before, after)
+    out[3:-3] = np.where(here > high, here - high, np.where(here < low, here - low, 0.0))
+    return out
+
+
+def spike_findings(log: Log) -> tuple[Finding, ...]:
+    """Spikes of gyroscopes and accelerometers."""
+    out = []
+    for channel in channels(log):
+        x = channel.values
+        far = outside(x)
+        count, ratio, limit = tail_gap(np.abs(far), quantum(x))
+        rows = np.argsort(-np.abs(far))[:count]
+        if not count or not all(_alone(x, int(row), float(far[row])) for row in rows):
+            continue
+        row = int(rows[0])
+        size = abs(float(far[row]))
+        unit, harm = ("rad", LOST_ANGLE) if channel.triad == "gyro" else ("m/s", _BLOW)
+        more = f" (and {count - 1} more)" if count > 1 else ""
+        text = (
+            f"{channel.name} is off by {size:.3g} {unit} in the one sample at {clock(log, row)} s{more}, "
+            f"{ratio:.3g} times more than anywhere else: replace it by the mean of its neighbours"
+        )
+        out.append(Finding("spike", ratio, limit, size <= harm, text))
+    return tuple(out)
+
+
+def _alone(x: np.ndarray, row: int, size: float) -> bool:
+    """Whether the neighbours show nothing of it, as of a blow that rings they do."""
+    near = x[[row - 2, row - 1, row + 1, row + 2]]
+    return float(np.ptp(near)) < _ALONE * abs(size)
