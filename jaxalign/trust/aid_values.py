@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxalign.log import Log
 from jaxalign.measurements import Measurements
+from jaxalign.trust.channels import rough
 from jaxalign.trust.finding import Finding
 from jaxalign.trust.held import held
 from jaxalign.trust.stuck import runs, unexplained
@@ -19,6 +20,7 @@ __all__ = ["aid_findings"]
 
 _LARGE = 1.0 / 3.0
 _ENOUGH = 20  # values
+_ZERO = 1e-9  # of the largest: a rotation of zeros by the recorder
 
 
 def aid_findings(log: Log) -> tuple[Finding, ...]:
@@ -37,7 +39,7 @@ def aid_findings(log: Log) -> tuple[Finding, ...]:
 def _stuck(one: Measurements, time: np.ndarray, value: np.ndarray) -> list[Finding]:
     same = (np.diff(value, axis=0) == 0).all(axis=1)
     first, length = unexplained(same)
-    moving = value[first].any(axis=1)
+    moving = (np.abs(value[first]) > _ZERO * np.abs(value).max()).any(axis=1) & _sudden(value, same, first, length)
     first, length = first[moving], length[moving]
     if not len(first):
         return []
@@ -48,6 +50,19 @@ def _stuck(one: Measurements, time: np.ndarray, value: np.ndarray) -> list[Findi
         f" ({100 * share:.0f} % of all values are so): give NaN where it measured nothing"
     )
     return [Finding("aid stuck", share, _LARGE, share <= _LARGE, text)]
+
+
+def _sudden(value: np.ndarray, same: np.ndarray, first: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Which runs are none of a steady motion without noise: values are noisy, or no other step is as large as theirs."""
+    if any(rough(x, same) for x in value.T):
+        return np.ones(len(first), dtype=bool)
+    steps = np.sqrt((np.diff(value, axis=0) ** 2).sum(axis=1))
+    last = first + length
+    before, after = np.maximum(first - 1, 0), np.minimum(last, len(steps) - 1)
+    own = np.where(last < len(steps), steps[after], 0.0)
+    others = steps.copy()
+    others[before], others[after] = 0.0, 0.0
+    return own > others.max()
 
 
 def _held(one: Measurements, value: np.ndarray) -> list[Finding]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["ODDS", "most_events", "repeat_odds", "tail_gap"]
+__all__ = ["ODDS", "most_events", "repeat_odds", "run_gap", "tail_gap"]
 
 ODDS = 1e-7
 """Probability of a false finding that one look at a sound log may have."""
@@ -59,3 +59,26 @@ def tail_gap(sizes: np.ndarray, quantum: float, most: int = 3) -> tuple[int, flo
         if ratio > limit:
             return k, ratio, limit
     return 0, 1.0, np.inf
+
+
+def run_gap(lengths: np.ndarray, most: int = 3) -> int:
+    """The length from which on runs stand apart from all others; 0 where there are too few to say.
+
+    Runs that end by chance have an exponential tail, if only of the times at which they end most seldom: its scale s is
+    the mean excess of the order statistics below (plus three of its standard errors), and the k-th longest is more than
+    d longer than the next one with probability exp(-k d / s).
+
+    Args:
+        lengths: (n,) of all runs.
+        most: how many may stand apart.
+    """
+    count = min(_TAIL, len(lengths) // 20)
+    if count < 10:
+        return 0
+    top = np.sort(lengths)[::-1].astype(float)
+    for k in range(most, 0, -1):
+        rest = top[k : k + count]
+        scale = (1.0 + float((rest - rest[-1]).mean())) * (1.0 + 3.0 / np.sqrt(count))
+        if k * (top[k - 1] - rest[0]) > -scale * np.log(ODDS):
+            return int(top[k - 1])
+    return int(top[0]) + 1

@@ -50,10 +50,14 @@ def clock(log: Log, row: int) -> str:
     return f"{log.t0 + row * log.dt:.6g}"
 
 
+def rounding(x: np.ndarray) -> float:
+    """What a reader that took differences of sums may have changed a value by."""
+    return _ROUNDING * float(np.finfo(float).eps) * float(np.abs(np.cumsum(x)).max())
+
+
 def equal_neighbours(x: np.ndarray) -> np.ndarray:
-    """(N-1,) whether a value equals the one before, but for the rounding of a reader that took differences of sums."""
-    largest = float(np.abs(np.cumsum(x)).max())
-    return np.abs(np.diff(x)) <= _ROUNDING * np.finfo(float).eps * largest
+    """(N-1,) whether a value equals the one before, but for rounding."""
+    return np.abs(np.diff(x)) <= rounding(x)
 
 
 def quantum(x: np.ndarray) -> float:
@@ -64,15 +68,15 @@ def quantum(x: np.ndarray) -> float:
 
 
 def rough(x: np.ndarray, same: np.ndarray) -> bool:
-    """Whether a channel is noisy from sample to sample, as every sensor is and noise-free simulations are not.
+    """Whether a channel has noise from sample to sample, as every sensor has and noise-free simulations have not.
 
-    White noise has third differences sqrt(10) times as large as first ones, smooth data smaller ones.
+    Fourth differences of white noise are sqrt(70 / 20) times as large as third ones; those of smooth data are smaller.
     """
-    changing = ~(same[:-2] | same[1:-1] | same[2:])
+    changing = ~(same[:-3] | same[1:-2] | same[2:-1] | same[3:])
     if changing.sum() < 10:
         return False
-    first, third = np.abs(np.diff(x))[1:-1][changing], np.abs(np.diff(x, n=3))[changing]
-    return float(np.median(third)) > float(np.median(first))
+    third, fourth = (float(np.median(np.abs(np.diff(x, n=n))[:len(changing)][changing])) for n in (3, 4))
+    return fourth > third > 4.0 * rounding(x)
 
 
 def spread(x: np.ndarray, size: int) -> float:

@@ -2,7 +2,9 @@
 
 How far a sample is outside what its neighbours say: the distance from the range between the medians of the three
 before and the three after. A step of the motion, at a sample or within one, gives nothing. What a vehicle does in
-blows is in the tail of the log itself (:func:`jaxalign.trust.chance.tail_gap`).
+blows is in the tail of the log itself (:func:`jaxalign.trust.chance.tail_gap`). Where that tail is so heavy that it
+tells nothing, as of a vehicle that stands and then drives over stones, a sample that no vehicle does is a spike, if the
+others are a tenth of it at most.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ from jaxalign.trust.stuck import LOST_ANGLE
 __all__ = ["outside", "spike_findings"]
 
 _BLOW = 1.0  # m/s: a body falls 5 cm for it; a blow may do it within one sample
+_IMPOSSIBLE = {"gyro": (0.1, 35.0), "accelerometer": (10.0, 1000.0)}
+"""rad and rad/s (2000 deg/s, the range of most units); m/s (a fall of 5 m) and m/s^2: both at once, in one sample."""
 _ALONE = 0.1  # of the spike: what its neighbours may show
 
 
@@ -44,13 +48,17 @@ def spike_findings(log: Log) -> tuple[Finding, ...]:
     out = []
     for channel in channels(log):
         x = channel.values
-        far = outside(x)
-        count, ratio, limit = tail_gap(np.abs(far), quantum(x))
-        rows = np.argsort(-np.abs(far))[:count]
+        far = np.abs(outside(x))
+        count, ratio, limit = tail_gap(far, quantum(x))
+        if not count:
+            count, ratio, limit = _impossible(far, *_IMPOSSIBLE[channel.triad], log.dt)
+        rows = np.argsort(-far)[:count]
         if not count or not all(_alone(x, int(row), float(far[row])) for row in rows):
             continue
+        if not log.dvel[rows].any():  # zeros are a finding of their own
+            continue
         row = int(rows[0])
-        size = abs(float(far[row]))
+        size = float(far[row])
         unit, harm = ("rad", LOST_ANGLE) if channel.triad == "gyro" else ("m/s", _BLOW)
         more = f" (and {count - 1} more)" if count > 1 else ""
         text = (
@@ -59,6 +67,17 @@ def spike_findings(log: Log) -> tuple[Finding, ...]:
         )
         out.append(Finding("spike", ratio, limit, size <= harm, text))
     return tuple(out)
+
+
+def _impossible(far: np.ndarray, step: float, rate: float, dt: float) -> tuple[int, float, float]:
+    """As `tail_gap`, of samples that no vehicle does."""
+    limit = max(step, rate * dt)
+    count = int((far > limit).sum())
+    if not 1 <= count <= 3:
+        return 0, 1.0, np.inf
+    top = np.sort(far)[::-1]
+    ratio = float(top[count - 1] / max(top[count], 1e-300))
+    return (count, ratio, 1.0 / _ALONE) if ratio > 1.0 / _ALONE else (0, 1.0, np.inf)
 
 
 def _alone(x: np.ndarray, row: int, size: float) -> bool:

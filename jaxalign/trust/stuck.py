@@ -2,10 +2,12 @@
 
 A run of equal values is explained by rounding where equal neighbours are common: the probability p of one is bounded
 from all of the log and from the neighbourhood of the run, and a run of L repeats among N samples is expected N p^L
-times. Beyond that a unit at rest whose noise is below its quantum gives the same value for as long as it stands. So a
+times. Where repeats are common the samples are not independent of each other (a dithered ring laser gives its pulses in
+lumps, with many zeros between): there a run must also stand apart from the other runs of its channel. Beyond that a
+unit at rest whose noise is below its quantum gives the same value for as long as it stands. So a
 channel is stuck only where others say that it should change: another one of its triad is as lively as usual; or all
 six begin and end at the same samples, as a logger does it and no vehicle; or its triad does, and the other one is
-lively. All three accelerometers at zero are a fault in any case: gravity is missing.
+lively. A channel without noise is no sensor's, but simulated, and may stay where it is. All three accelerometers at zero are a fault in any case: gravity is missing.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxalign.log import Log
-from jaxalign.trust.chance import ODDS, repeat_odds
+from jaxalign.trust.chance import ODDS, repeat_odds, run_gap
 from jaxalign.trust.channels import Channel, channels, clock, quantum, rough, spread
 from jaxalign.trust.finding import Finding
 from jaxalign.wgs84 import STANDARD_GRAVITY
@@ -29,6 +31,7 @@ LOST_VELOCITY = 0.1
 _LEAST = 4  # repeats
 _AROUND = 500  # samples on either side from which the odds of a repeat are taken; at least ten times the run
 _LIVELY = 0.5  # of the usual spread
+_COMMON = 0.02  # short runs per sample: so many that the tail of their lengths is known
 _STEPS = 3.0  # quanta: a value that rests between two levels leaves by one, or two with a slope
 _DEAD = 0.9  # of the log
 
@@ -41,10 +44,6 @@ class _Run:
     first: int
     last: int
 
-    @property
-    def where(self) -> tuple[int, int]:
-        return self.first, self.last
-
 
 def runs(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Index of the first of equal samples, and number of repeats, of each run of equal neighbours (N-1,)."""
@@ -55,7 +54,10 @@ def runs(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def unexplained(same: np.ndarray, around: int = _AROUND) -> tuple[np.ndarray, np.ndarray]:
     """The runs that chance does not explain: first sample and repeats (see the module's docstring)."""
     first, length = runs(same)
-    keep = length >= _LEAST
+    least = _LEAST
+    if (length < _LEAST).sum() > _COMMON * len(same):
+        least = max(least, run_gap(length))
+    keep = length >= least
     first, length = first[keep], length[keep]
     total = np.concatenate([[0], np.cumsum(same)])
     reach = np.maximum(around, 10 * length)
@@ -74,7 +76,7 @@ def stuck_findings(log: Log) -> tuple[Finding, ...]:
     found: list[_Run] = []
     for i, channel in enumerate(all_six):
         found += _of_channel(i, channel)
-    found = [run for run in found if _should_change(run, found, all_six) and not zero[run.first : run.last + 1].all()]
+    found = [run for run in found if _should_change(run, all_six) and not zero[run.first : run.last + 1].all()]
     dead = [i for i in range(6) if _dead(i, all_six)]
     out = [*_zero_finding(log, zero)]
     for i in dead:
@@ -96,16 +98,21 @@ def _of_channel(index: int, channel: Channel) -> list[_Run]:
     return [_Run(index, int(a), int(b)) for a, b in zip(first[jumps], last[jumps], strict=True)]
 
 
-def _should_change(run: _Run, found: list[_Run], all_six: tuple[Channel, ...]) -> bool:
+def _should_change(run: _Run, all_six: tuple[Channel, ...]) -> bool:
     """Whether the other channels say that this one should change there."""
     own = range(3 * (run.index // 3), 3 * (run.index // 3) + 3)
-    together = {other.index for other in found if other.where == run.where}
-    if len(together) == 6:
+    still = [i for i in range(6) if all_six[i].same[run.first : run.last].all()]
+    exact = [i for i in still if _begins_and_ends(all_six[i].same, run)]
+    if len(exact) >= 5 and len(still) == 6:  # one may by chance have had its value before or after
         return True
-    witnesses = [i for i in own if i not in together]
-    if together.issuperset(own):
+    witnesses = [i for i in own if i not in still]
+    if len([i for i in exact if i in own]) >= 2 and not witnesses:
         witnesses = [i for i in range(6) if i not in own]
     return any(_lively(all_six[i].values, run) for i in witnesses)
+
+
+def _begins_and_ends(same: np.ndarray, run: _Run) -> bool:
+    return not same[max(run.first - 1, 0) : run.first].any() and not same[run.last : run.last + 1].any()
 
 
 def _lively(x: np.ndarray, run: _Run) -> bool:
