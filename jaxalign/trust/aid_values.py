@@ -37,7 +37,7 @@ def aid_findings(log: Log) -> tuple[Finding, ...]:
 
 
 def _stuck(one: Measurements, time: np.ndarray, value: np.ndarray) -> list[Finding]:
-    same = (np.diff(value, axis=0) == 0).all(axis=1)
+    same = np.asarray((np.diff(value, axis=0) == 0).all(axis=1))
     first, length = unexplained(same)
     moving = (np.abs(value[first]) > _ZERO * np.abs(value).max()).any(axis=1) & _sudden(value, same, first, length)
     first, length = first[moving], length[moving]
@@ -46,14 +46,14 @@ def _stuck(one: Measurements, time: np.ndarray, value: np.ndarray) -> list[Findi
     share = float((length + 1).sum()) / len(value)
     i = int(np.argmax(length))
     text = (
-        f"{one.name} repeats one value {length[i]} times from {time[first[i]]:.6g} to {time[first[i] + length[i]]:.6g} s"
-        f" ({100 * share:.0f} % of all values are so): give NaN where it measured nothing"
+        f"{one.name} repeats one value {length[i]} times from {time[first[i]]:.6g} to {time[first[i] + length[i]]:.6g} "
+        f"s ({100 * share:.0f} % of all values are so): give NaN where it measured nothing"
     )
     return [Finding("aid stuck", share, _LARGE, share <= _LARGE, text)]
 
 
 def _sudden(value: np.ndarray, same: np.ndarray, first: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Which runs are none of a steady motion without noise: values are noisy, or no other step is as large as theirs."""
+    """Which runs are not of a steady motion without noise: values are noisy, or no other step is as large as theirs."""
     if any(rough(x, same) for x in value.T):
         return np.ones(len(first), dtype=bool)
     steps = np.sqrt((np.diff(value, axis=0) ** 2).sum(axis=1))
@@ -86,7 +86,7 @@ def _zeros(one: Measurements, time: np.ndarray, value: np.ndarray) -> list[Findi
     If steps to and from zero were steps like the others, 2 of n would be the largest two with probability
     2 / (n (n - 1)): below 1 % from 20 values on.
     """
-    zero = ~value.any(axis=1)
+    zero = np.asarray(~value.any(axis=1))
     steps = np.sqrt((np.diff(value, axis=0) ** 2).sum(axis=1))
     border = zero[1:] != zero[:-1]
     inside = zero[1:] & zero[:-1]
@@ -97,7 +97,7 @@ def _zeros(one: Measurements, time: np.ndarray, value: np.ndarray) -> list[Findi
     longest = int(length.max()) + 1 if len(first) else 1
     share = float(zero.mean())
     text = (
-        f"{one.name} jumps to zero and back, first at {time[int(np.argmax(zero))]:.6g} s ({int(zero.sum())} of {len(zero)} "
-        f"values, up to {longest} in a row): give NaN where it measured nothing"
+        f"{one.name} jumps to zero and back, first at {time[int(np.argmax(zero))]:.6g} s ({int(zero.sum())} of "
+        f"{len(zero)} values, up to {longest} in a row): give NaN where it measured nothing"
     )
     return [Finding("aid zeros", share, _LARGE, share <= _LARGE, text)]

@@ -75,7 +75,7 @@ def rough(x: np.ndarray, same: np.ndarray) -> bool:
     changing = ~(same[:-3] | same[1:-2] | same[2:-1] | same[3:])
     if changing.sum() < 10:
         return False
-    third, fourth = (float(np.median(np.abs(np.diff(x, n=n))[:len(changing)][changing])) for n in (3, 4))
+    third, fourth = (float(np.median(np.abs(np.diff(x, n=n))[: len(changing)][changing])) for n in (3, 4))
     return fourth > third > 4.0 * rounding(x)
 
 

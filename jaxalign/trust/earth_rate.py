@@ -84,8 +84,8 @@ def _finding(log: Log, stretch: Stretch, rate: tuple[float, float, float]) -> Fi
     along, across, _ = rate
     elevation, lat = np.degrees([np.arctan2(along, across), log.lat])
     text = (
-        f"at rest from {clock(log, stretch.first)} to {clock(log, stretch.stop)} s the Earth seems to turn the wrong way: "
-        f"the rotation of {_DEG_H * np.hypot(along, across):.2f} deg/h is {elevation:+.1f} deg above the horizon, at a "
-        f"latitude of {lat:+.1f} deg: gyro signs are inverted, or the latitude has the wrong sign"
+        f"at rest from {clock(log, stretch.first)} to {clock(log, stretch.stop)} s the Earth seems to turn the wrong way:"
+        f" the rotation of {_DEG_H * np.hypot(along, across):.2f} deg/h is {elevation:+.1f} deg above the horizon, at "
+        f"a latitude of {lat:+.1f} deg: gyro signs are inverted, or the latitude has the wrong sign"
     )
     return Finding("Earth's rotation", float(elevation), float(lat), False, text)

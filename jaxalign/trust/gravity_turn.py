@@ -1,8 +1,9 @@
 """The turning of gravity in inertial space, as a vehicle at rest sees it that sways.
 
 The gyroscopes carry the specific force to the axes at the beginning; there its integral is
-V(t) = g (u t + u' t^2 / 2 + u'' t^3 / 6) with u' = w x u and u'' = w x (w x u), where w is the Earth's rotation. A cubic
-fitted to V gives w across gravity from u', and along it from u'' (it takes minutes). Sways come back and leave little.
+V(t) = g (u t + u' t^2 / 2 + u'' t^3 / 6) with u' = w x u and u'' = w x (w x u), where w is the Earth's rotation. A
+cubic fitted to V gives w across gravity from u', and along it from u'' (it takes minutes). Sways come back and leave
+little.
 """
 
 from __future__ import annotations

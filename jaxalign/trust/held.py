@@ -27,7 +27,7 @@ def held(same: np.ndarray) -> tuple[int, float]:
     Returns:
         The number, and its limit.
     """
-    repeated, new = same.all(axis=1), ~same.any(axis=1)
+    repeated, new = np.asarray(same.all(axis=1)), np.asarray(~same.any(axis=1))
     return int((repeated[:-1] & new[1:]).sum()), most_events(len(same) * 4.0 ** -same.shape[1])
 
 
@@ -37,7 +37,7 @@ def held_findings(log: Log) -> tuple[Finding, ...]:
     for what, part in (("IMU", same), ("gyro", same[:, :3]), ("accelerometer", same[:, 3:])):
         count, limit = held(part)
         if count > limit:
-            rows = part.all(axis=1)
+            rows = np.asarray(part.all(axis=1))
             return (
                 Finding(
                     "repeated samples",

@@ -78,7 +78,7 @@ def _noise(one: Measurements) -> np.ndarray:
 def _slow(one: Measurements) -> np.ndarray:
     """(n,) whether each value is within the noise of zero; those that are missing say nothing."""
     with np.errstate(invalid="ignore"):
-        return ~(np.abs(one.value) > _SIGMAS * _noise(one) + 1e-9).any(axis=1)
+        return np.asarray(~(np.abs(one.value) > _SIGMAS * _noise(one) + 1e-9).any(axis=1))
 
 
 def _mean_is_zero(one: Measurements, start: float, stop: float, few: bool = False) -> bool:
@@ -96,7 +96,8 @@ def _mean_is_zero(one: Measurements, start: float, stop: float, few: bool = Fals
 def _quiet(x: np.ndarray, size: int) -> np.ndarray:
     """(N // size,) whether the variance within each window is that of the noise.
 
-    The variance of white noise by 3 (size - 1) values scatters by sqrt(2 / that), relatively.
+    The variance of white noise by 3 (size - 1) values scatters by sqrt(2 / that), relatively; the limit is twice as far,
+    since the variance of the noise is itself taken from windows that are quiet by chance.
     """
     count = len(x) // size
     variance = x[: count * size].reshape(count, size, 3).var(axis=1)

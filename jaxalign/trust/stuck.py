@@ -81,7 +81,9 @@ def stuck_findings(log: Log) -> tuple[Finding, ...]:
     out = [*_zero_finding(log, zero)]
     for i in dead:
         name = all_six[i].name
-        text = f"{name} never changes while the others of its triad do: is it connected, and is its column the right one?"
+        text = (
+            f"{name} never changes while the others of its triad do: is it connected, and is its column the right one?"
+        )
         out.append(Finding("dead channel", 1.0, _DEAD, False, text))
     return tuple(out + _findings(log, [run for run in found if run.index not in dead], all_six))
 
@@ -172,7 +174,9 @@ def _findings(log: Log, found: list[_Run], all_six: tuple[Channel, ...]) -> list
                 "stuck samples": "stays at one value",
             }[kind]
             mend = (
-                "choose a larger range" if kind == "saturation" else "align the part before or after, or mend the logger"
+                "choose a larger range"
+                if kind == "saturation"
+                else "align the part before or after, or mend the logger"
             )
             more = f" ({len(some)} times in all)" if len(some) > 1 else ""
             text = (
