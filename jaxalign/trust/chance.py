@@ -56,7 +56,7 @@ def tail_gap(sizes: np.ndarray, quantum: float, most: int = 3) -> tuple[int, flo
         index = min(_STEEPEST, (1 - 3 / np.sqrt(count)) / max(logs, 1e-9))
         limit = float(ODDS ** (-1.0 / (k * index)))
         ratio = float(top[k - 1] / rest[0])
-        if ratio > limit:
+        if ratio > limit and top[k - 1] > 4.0 * quantum:  # one level is little more than the noise that reaches it
             return k, ratio, limit
     return 0, 1.0, np.inf
 

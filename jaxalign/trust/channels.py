@@ -8,7 +8,17 @@ import numpy as np
 
 from jaxalign.log import Log
 
-__all__ = ["Channel", "channels", "clock", "equal_neighbours", "quantum", "rough", "spread"]
+__all__ = [
+    "Channel",
+    "channels",
+    "clock",
+    "equal_neighbours",
+    "quantum",
+    "rough",
+    "rounding",
+    "spread",
+    "without_gravity",
+]
 
 _AXES = ("x", "y", "z")
 _ROUNDING = 8.0  # units in the last place of the largest sum: increments from a reader are differences of sums
@@ -58,6 +68,11 @@ def rounding(x: np.ndarray) -> float:
 def equal_neighbours(x: np.ndarray) -> np.ndarray:
     """(N-1,) whether a value equals the one before, but for rounding."""
     return np.abs(np.diff(x)) <= rounding(x)
+
+
+def without_gravity(log: Log) -> np.ndarray:
+    """(N,) rows where all three accelerometers are at zero, but for rounding."""
+    return np.logical_and.reduce([np.abs(x) <= rounding(x) for x in log.dvel.T])
 
 
 def quantum(x: np.ndarray) -> float:

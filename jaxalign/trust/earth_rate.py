@@ -2,8 +2,8 @@
 
 Gyroscopes whose signs are inverted, and a latitude of the wrong sign, turn the elevation of the mean rate round. The
 check speaks only where the mean rate is the Earth's in both parts, along gravity and across it, but for the sign of
-the first: within 5 % of the Earth's rate (0.75 deg/h, the bias of a fibre-optic gyroscope), three standard errors
-included. A unit with random biases b of a size like the Earth's rate gets there by chance: the tube of that radius
+the first: within 5 % of the Earth's rate (0.75 deg/h, the bias of a fibre-optic gyroscope), with a standard error of at
+most half of that. A unit with random biases of a size like the Earth's rate gets there by chance: the tube of that radius
 about a circle has 2 pi cos(lat) pi 0.05^2 = 0.05 of a unit volume, so 2 in 1000 of units of 15 deg/h and 1 in 1e5 of
 100 deg/h, where their white noise lets the mean be known so well at all.
 
@@ -59,7 +59,7 @@ def earth_rate_findings(log: Log) -> tuple[Finding, ...]:
         if seconds < _LEAST or stretch.stop - stretch.first < 4 * _PARTS:
             break
         rate = mean_rate(log, stretch)
-        if 3.0 * rate[2] > _NEAR * EARTH_RATE and not stretch.still:
+        if 2.0 * rate[2] > _NEAR * EARTH_RATE and not stretch.still:
             where = slice(stretch.first, stretch.stop)
             rate = turning_of_gravity(log.dtheta[where], log.dvel[where], log.dt)
             if not _is(rate, log.lat) and not _is(rate, -log.lat):
@@ -77,15 +77,15 @@ def _is(rate: tuple[float, float, float], lat: float) -> bool:
     along, across, error = rate
     limit = _NEAR * EARTH_RATE
     off = np.hypot(along - EARTH_RATE * np.sin(lat), across - EARTH_RATE * np.cos(lat))
-    return bool(3.0 * error < limit and off < limit)
+    return bool(2.0 * error < limit and off < limit)
 
 
 def _finding(log: Log, stretch: Stretch, rate: tuple[float, float, float]) -> Finding:
     along, across, _ = rate
     elevation, lat = np.degrees([np.arctan2(along, across), log.lat])
     text = (
-        f"at rest from {clock(log, stretch.first)} to {clock(log, stretch.stop)} s the Earth seems to turn the wrong way:"
-        f" the rotation of {_DEG_H * np.hypot(along, across):.2f} deg/h is {elevation:+.1f} deg above the horizon, at "
-        f"a latitude of {lat:+.1f} deg: gyro signs are inverted, or the latitude has the wrong sign"
+        f"at rest from {clock(log, stretch.first)} to {clock(log, stretch.stop)} s the Earth seems to turn the wrong "
+        f"way: the rotation of {_DEG_H * np.hypot(along, across):.2f} deg/h is {elevation:+.1f} deg above the horizon, "
+        f"at a latitude of {lat:+.1f} deg: gyro signs are inverted, or the latitude has the wrong sign"
     )
     return Finding("Earth's rotation", float(elevation), float(lat), False, text)

@@ -45,10 +45,10 @@ def turning_of_gravity(dtheta: np.ndarray, dvel: np.ndarray, dt: float) -> tuple
     inverse = np.linalg.inv(basis.T @ basis)
     c = inverse @ (basis.T @ total)
     rest = total - basis @ c
-    g = float(np.linalg.norm(c[1]))
+    g = max(float(np.linalg.norm(c[1])), 1e-30)
     u, first, second = c[1] / g, 2.0 * c[2] / g / span, 6.0 * c[3] / g / span**2
     across = np.cross(u, first)
-    size_across = max(float(np.linalg.norm(across)), 1e-300)
+    size_across = max(float(np.linalg.norm(across)), 1e-30)
     along = float(second @ across) / size_across**2
     # residuals of neighbouring pieces are alike: fewer of them count
     alike = float((rest[1:] * rest[:-1]).sum() / max((rest**2).sum(), 1e-300))

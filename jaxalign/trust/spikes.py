@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxalign.log import Log
 from jaxalign.trust.chance import tail_gap
-from jaxalign.trust.channels import channels, clock, quantum
+from jaxalign.trust.channels import channels, clock, quantum, without_gravity
 from jaxalign.trust.finding import Finding
 from jaxalign.trust.stuck import LOST_ANGLE
 
@@ -45,7 +45,7 @@ def outside(x: np.ndarray) -> np.ndarray:
 
 def spike_findings(log: Log) -> tuple[Finding, ...]:
     """Spikes of gyroscopes and accelerometers."""
-    out = []
+    out, zero = [], without_gravity(log)
     for channel in channels(log):
         x = channel.values
         far = np.abs(outside(x))
@@ -55,7 +55,7 @@ def spike_findings(log: Log) -> tuple[Finding, ...]:
         rows = np.argsort(-far)[:count]
         if not count or not all(_alone(x, int(row), float(far[row])) for row in rows):
             continue
-        if not log.dvel[rows].any():  # zeros are a finding of their own
+        if zero[rows].all():  # zeros are a finding of their own
             continue
         row = int(rows[0])
         size = float(far[row])

@@ -96,8 +96,8 @@ def _mean_is_zero(one: Measurements, start: float, stop: float, few: bool = Fals
 def _quiet(x: np.ndarray, size: int) -> np.ndarray:
     """(N // size,) whether the variance within each window is that of the noise.
 
-    The variance of white noise by 3 (size - 1) values scatters by sqrt(2 / that), relatively; the limit is twice as far,
-    since the variance of the noise is itself taken from windows that are quiet by chance.
+    The variance of white noise by 3 (size - 1) values scatters by sqrt(2 / that), relatively; the limit is twice as
+    far, since the variance of the noise is itself taken from windows that are quiet by chance.
     """
     count = len(x) // size
     variance = x[: count * size].reshape(count, size, 3).var(axis=1)

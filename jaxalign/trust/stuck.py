@@ -4,10 +4,11 @@ A run of equal values is explained by rounding where equal neighbours are common
 from all of the log and from the neighbourhood of the run, and a run of L repeats among N samples is expected N p^L
 times. Where repeats are common the samples are not independent of each other (a dithered ring laser gives its pulses in
 lumps, with many zeros between): there a run must also stand apart from the other runs of its channel. Beyond that a
-unit at rest whose noise is below its quantum gives the same value for as long as it stands. So a
-channel is stuck only where others say that it should change: another one of its triad is as lively as usual; or all
-six begin and end at the same samples, as a logger does it and no vehicle; or its triad does, and the other one is
-lively. A channel without noise is no sensor's, but simulated, and may stay where it is. All three accelerometers at zero are a fault in any case: gravity is missing.
+unit at rest whose noise is below its quantum gives the same value for as long as it stands. So a channel is stuck only
+where others say that it should change: another one of its triad is as lively as usual; or all six begin and end at the
+same samples, as a logger does it and no vehicle; or its triad does, and the other one is lively. A channel without
+noise is no sensor's, but simulated, and may stay where it is. All three accelerometers at zero are a fault in any case:
+gravity is missing.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from jaxalign.log import Log
 from jaxalign.trust.chance import ODDS, repeat_odds, run_gap
-from jaxalign.trust.channels import Channel, channels, clock, quantum, rough, spread
+from jaxalign.trust.channels import Channel, channels, clock, quantum, rough, rounding, spread, without_gravity
 from jaxalign.trust.finding import Finding
 from jaxalign.wgs84 import STANDARD_GRAVITY
 
@@ -72,7 +73,7 @@ def unexplained(same: np.ndarray, around: int = _AROUND) -> tuple[np.ndarray, np
 def stuck_findings(log: Log) -> tuple[Finding, ...]:
     """Stuck and dead channels, zeros, and the end of a range."""
     all_six = channels(log)
-    zero = _without_gravity(log)
+    zero = without_gravity(log)
     found: list[_Run] = []
     for i, channel in enumerate(all_six):
         found += _of_channel(i, channel)
@@ -94,9 +95,9 @@ def _of_channel(index: int, channel: Channel) -> list[_Run]:
     if not len(first) or not rough(x, same):
         return []
     step, last = quantum(x), first + length
-    before = np.where(first > 0, np.abs(x[first] - x[np.maximum(first - 1, 0)]), np.inf)
-    after = np.where(last < len(x) - 1, np.abs(x[last] - x[np.minimum(last + 1, len(x) - 1)]), np.inf)
-    jumps = np.minimum(before, after) > _STEPS * step
+    before = np.abs(x[first] - x[np.maximum(first - 1, 0)])  # at the ends of the log: nothing
+    after = np.abs(x[last] - x[np.minimum(last + 1, len(x) - 1)])
+    jumps = np.maximum(before, after) > _STEPS * step
     return [_Run(index, int(a), int(b)) for a, b in zip(first[jumps], last[jumps], strict=True)]
 
 
@@ -108,7 +109,7 @@ def _should_change(run: _Run, all_six: tuple[Channel, ...]) -> bool:
     if len(exact) >= 5 and len(still) == 6:  # one may by chance have had its value before or after
         return True
     witnesses = [i for i in own if i not in still]
-    if len([i for i in exact if i in own]) >= 2 and not witnesses:
+    if all(i in exact for i in own) and run.first > 0 and run.last < len(all_six[0].values) - 1:
         witnesses = [i for i in range(6) if i not in own]
     return any(_lively(all_six[i].values, run) for i in witnesses)
 
@@ -131,16 +132,12 @@ def _dead(index: int, all_six: tuple[Channel, ...]) -> bool:
     return all(all_six[i].same.mean() < 0.5 and rough(all_six[i].values, all_six[i].same) for i in others)
 
 
-def _without_gravity(log: Log) -> np.ndarray:
-    """(N,) rows where all three accelerometers are at zero exactly."""
-    return ~log.dvel.any(axis=1)
-
-
 def _zero_finding(log: Log, zero: np.ndarray) -> list[Finding]:
     count = int(zero.sum())
     if not count:
         return []
-    which = "all six channels are" if not log.dtheta[zero].any() else "all accelerometers are"
+    still = all((np.abs(x[zero]) <= rounding(x)).all() for x in log.dtheta.T)
+    which = "all six channels are" if still else "all accelerometers are"
     first = int(np.argmax(zero))
     lost = count * log.dt * STANDARD_GRAVITY
     return [
@@ -149,8 +146,8 @@ def _zero_finding(log: Log, zero: np.ndarray) -> list[Finding]:
             lost,
             LOST_VELOCITY,
             lost <= LOST_VELOCITY,
-            f"{which} exactly zero in {count} samples, first at {clock(log, first)} s, so {lost:.2g} m/s of gravity are "
-            "missing: samples were lost; align the part before or after, or interpolate",
+            f"{which} exactly zero in {count} samples, first at {clock(log, first)} s, so {lost:.2g} m/s of gravity are"
+            " missing: samples were lost; align the part before or after, or interpolate",
         )
     ]
 
@@ -189,9 +186,10 @@ def _findings(log: Log, found: list[_Run], all_six: tuple[Channel, ...]) -> list
 
 def _kind(run: _Run, x: np.ndarray) -> str:
     value = x[run.first]
-    if value == 0:
+    same = rounding(x)
+    if abs(value) <= same:
         return "zeros"
-    return "saturation" if value in (x.max(), x.min()) else "stuck samples"
+    return "saturation" if value >= x.max() - same or value <= x.min() + same else "stuck samples"
 
 
 def _lost(some: list[_Run], index: int, x: np.ndarray) -> float:

@@ -8,8 +8,8 @@ show, nor how the unit is mounted about the vertical.
 What makes it sound: an intercept takes a constant gyro bias; speeds must be well above the noise of the velocity; a
 late receiver is allowed for (the lag of the highest correlation is taken, within +-2 s); the correlation must be
 beyond chance (Fisher's z at 1e-7 for all lags and lengths of blocks together); the slope must explain 80 % of the
-changes, but for the noise of the velocity; and all must remain, at 1e-3, without the largest change of either sense,
-so that no single turn decides. A boat in a current, or anything that flies sideways, has a course that turns less than
+changes, but for the noise of the velocity; and it must remain, at 1e-3, without the two largest turns, so that no
+single one decides. A boat in a current, or anything that flies sideways, has a course that turns less than
 the vehicle; so only a slope near -1 is a contradiction, and another size is a note.
 """
 
@@ -37,7 +37,7 @@ _FAST = 5.0  # standard deviations of the velocity of a block: its course is the
 _FEWEST = 8  # changes
 _EXPLAINED = 0.8
 _SURE = NormalDist().inv_cdf(1 - ODDS / 2 / _LAGS / len(_BLOCKS))  # 5.9
-_REMAINS = NormalDist().inv_cdf(1 - 1e-3)
+_REMAINS = NormalDist().inv_cdf(1 - 1e-3 / _LAGS / len(_BLOCKS))  # 3.9
 _NEAR = 0.25  # of the slope about -1
 _SIZE = 2.0
 _THIRD = np.sqrt(20.0)  # gain of third differences for white noise
@@ -68,9 +68,13 @@ def _of_aid(log: Log, one: Measurements) -> list[Finding]:
         for lag in np.linspace(-_LATE, _LATE, _LAGS)
         if (fit := blocks.fit(turned, lag)) is not None
     ]
-    fit = max(fits, key=lambda fit: abs(fit.z), default=None)
-    if fit is None or abs(fit.z) < _SURE or fit.explained < _EXPLAINED or fit.rest * np.sign(fit.z) < _REMAINS:
+    sense = np.sign(max(fits, key=lambda fit: abs(fit.z)).z) if fits else 0.0
+    sure = [fit for fit in fits if fit.z * sense > _SURE and fit.explained > _EXPLAINED]
+    if max((fit.rest * sense for fit in fits), default=0.0) < _REMAINS:
         return []
+    if not sure:
+        return []
+    fit = max(sure, key=lambda fit: abs(fit.z))
     slope, error = fit.slope, fit.error
     says = f"{slope:.2f} +- {error:.2f} times as far as the gyroscopes say ({fit.changes} changes of course)"
     if abs(slope + 1.0) < _NEAR + 3.0 * error:
@@ -116,13 +120,22 @@ class _Blocks:
         """The changes of course over those of the angle `turned`, where the velocity is late by `lag` s."""
         x, y = np.diff(turned(self.time - lag).mean(axis=1))[self.use], self.course[self.use]
         z, slope, error, unexplained, all_of_it = _regression(x, y)
-        left = np.ones(len(x), dtype=bool)
-        left[[int(np.argmax(x)), int(np.argmin(x))]] = False
-        rest = _regression(x[left], y[left])[0]
+        left = _without_largest(x)
+        rest = _regression(x[left], y[left])[0] if left.sum() > 4 else 0.0
         if all_of_it <= 0:
             return None
         too_much = max(unexplained - len(x) * self.noise, 0.0)
         return _Fit(z, rest, slope, error, 1.0 - too_much / all_of_it, len(x))
+
+
+def _without_largest(x: np.ndarray) -> np.ndarray:
+    """(n,) which values are left without the two largest turns, each with what it is in before and after."""
+    size = np.abs(x - np.median(x))
+    left = np.ones(len(x), dtype=bool)
+    for _ in range(2):
+        k = int(np.argmax(np.where(left, size, -1.0)))
+        left[max(k - 1, 0) : k + 2] = False
+    return left
 
 
 def _blocks(time: np.ndarray, v: np.ndarray, sd: float, seconds: float) -> _Blocks | None:
@@ -151,26 +164,6 @@ def _noise(one: Measurements, v: np.ndarray) -> float:
     """Standard deviation of a horizontal component, m/s: the larger of what is stated and what the values show."""
     shown = float(np.median(np.abs(np.diff(v, n=3, axis=0)), axis=0).max()) / 0.6745 / _THIRD
     return max(shown, 0.0 if one.sd is None else float(np.max(one.sd)), 1e-3)
-
-
-def _course_changes(time: np.ndarray, v: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Begin, end (s) and change of course (rad, from east to north) of windows in which the vehicle is fast enough."""
-    a, b = v[:-1], v[1:]
-    step = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])
-    fast = np.hypot(v[:, 0], v[:, 1]) > _FAST * sd
-    interval = float(np.median(np.diff(time)))
-    good = fast[:-1] & fast[1:] & (np.diff(time) < 1.5 * interval) & (np.abs(step) < 0.5 * np.pi)
-    size = max(2, round(_WINDOW / interval))
-    found, k = [], 0
-    while k + size <= len(step):
-        bad = np.flatnonzero(~good[k : k + size])
-        if len(bad):
-            k += int(bad[-1]) + 1
-            continue
-        found.append((time[k], time[k + size], step[k : k + size].sum()))
-        k += size
-    start, stop, course = np.asarray(found, dtype=float).reshape(-1, 3).T
-    return start, stop, course
 
 
 def _turned(log: Log) -> Callable[[np.ndarray], np.ndarray]:
