@@ -1,11 +1,11 @@
 """The Earth's rotation at rest: it must rise against gravity by the latitude.
 
 Gyroscopes whose signs are inverted, and a latitude of the wrong sign, turn the elevation of the mean rate round. The
-check speaks only where the mean rate is the Earth's in both parts, along gravity and across it, but for the sign of
-the first: within 5 % of the Earth's rate (0.75 deg/h, the bias of a fibre-optic gyroscope), with a standard error of at
-most half of that. A unit with random biases of a size like the Earth's rate gets there by chance: the tube of that radius
-about a circle has 2 pi cos(lat) pi 0.05^2 = 0.05 of a unit volume, so 2 in 1000 of units of 15 deg/h and 1 in 1e5 of
-100 deg/h, where their white noise lets the mean be known so well at all.
+check speaks only where the mean rate is the Earth's in both parts, along gravity and across it, but for the sign of the
+first: within 5 % of the Earth's rate (0.75 deg/h, the bias of a fibre-optic gyroscope), with a standard error of at
+most half of that. A unit with random biases of a size like the Earth's rate gets there by chance: the tube of that
+radius about a circle has 2 pi cos(lat) pi 0.05^2 = 0.05 of the volume of a cube of the Earth's rate, so 2 in 1000 of
+units of 15 deg/h and 1 in 1e5 of 100 deg/h, where their white noise lets the mean be known so well at all.
 
 Means are taken with a smooth taper (Hann) over eight parts of a stretch: what sways and comes back leaves little. Where
 their scatter says that the mean is not known well enough, gravity's turning in inertial space is asked
