@@ -10,6 +10,7 @@ from jaxalign.aids import Standing
 from jaxalign.log import Log
 from jaxalign.measurements import Measurements
 from jaxalign.plausibility import median_force
+from jaxalign.trust import log_findings
 from jaxalign.wgs84 import EARTH_RATE, gravity
 
 __all__ = ["describe"]
@@ -24,7 +25,8 @@ def describe(log: Log) -> list[tuple[str, str]]:
         log: the log.
 
     Returns:
-        (label, value with its unit) in the order for reading, one "warning" line for each warning.
+        (label, value with its unit) in the order for reading, one "warning" line for each warning, and one "check" line
+        for each finding of the checks that need no alignment (:mod:`jaxalign.trust`).
     """
     rows = [
         ("name", log.name),
@@ -42,7 +44,15 @@ def describe(log: Log) -> list[tuple[str, str]]:
         *_inertial(log),
         ("reference attitude", _reference(log)),
         *(("warning", text) for text in log.warnings or ("none",)),
+        *_checks(log),
     ]
+
+
+def _checks(log: Log) -> list[tuple[str, str]]:
+    found = log_findings(log)
+    if not found:
+        return [("checks", "none failed")]
+    return [("check", one.text if one.trusted else f"NOT TRUSTED: {one.text}") for one in found]
 
 
 def _site(log: Log) -> str:

@@ -21,7 +21,14 @@ import numpy as np
 from jaxalign.errors import UserError
 from jaxalign.wgs84 import EARTH_RATE, STANDARD_GRAVITY
 
-__all__ = ["axis_warnings", "check_gyro_units", "check_specific_force", "mean_force_axis", "median_force"]
+__all__ = [
+    "axis_warnings",
+    "check_gyro_units",
+    "check_specific_force",
+    "mean_force_axis",
+    "median_force",
+    "rotations",
+]
 
 _DEG = np.pi / 180.0
 _ENOUGH_WINDOWS = 40
@@ -268,13 +275,13 @@ def _wander(dtheta: np.ndarray, dvel: np.ndarray, dt: float) -> float:
     total = np.zeros((m, 3))
     for j in range(steps):
         total = total + (frame @ force[:, j, :, None])[..., 0]
-        frame = frame @ _rotations(angle[:, j])
+        frame = frame @ rotations(angle[:, j])
     here, there = total[:-1], (frame[:-1] @ total[1:, :, None])[..., 0]
     angles = np.arctan2(np.linalg.norm(np.cross(here, there), axis=1), (here * there).sum(axis=1))
     return float(np.sqrt((angles**2).mean()))
 
 
-def _rotations(vectors: np.ndarray) -> np.ndarray:
+def rotations(vectors: np.ndarray) -> np.ndarray:
     """(m, 3) rotation vectors -> (m, 3, 3) matrices (Rodrigues)."""
     size = np.linalg.norm(vectors, axis=1)[:, None, None]
     x, y, z = vectors.T

@@ -16,7 +16,8 @@ def add(commands: Any) -> None:
         "info",
         help="say what a log is: rates, gaps, gravity, Earth rate, likely mistakes",
         description="Say what a log is: rates, duration, gaps, mean specific force against gravity, mean rotation "
-        "against the Earth's, and likely mistakes of axes or units.",
+        "against the Earth's, likely mistakes of axes or units, and what its data contradict: zeros, stuck, repeated "
+        "and single wild samples, the Earth turning the wrong way, the course turning against the gyroscopes.",
     )
     add_log_arguments(command)
     command.set_defaults(run=_run, needs_jax=False)
