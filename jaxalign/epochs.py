@@ -139,6 +139,8 @@ class Epochs(eqx.Module):
             interval, m/s).
         aids: that the rows hold (static).
         filtered: whether a prefilter has smoothed the force.
+        raw_noise: (2,) white noise of gyroscopes and accelerometers in quiet stretches (rad/sqrt(s), m/s/sqrt(s), see
+            :mod:`jaxalign.raw_noise`); None: not known.
     """
 
     rows: Epoch
@@ -146,6 +148,7 @@ class Epochs(eqx.Module):
     sd: tuple[Float[Array, "*m"], ...]
     aids: tuple[AbstractAid, ...] = eqx.field(static=True)
     filtered: bool = eqx.field(static=True, default=False)
+    raw_noise: Float[Array, 2] | None = None
 
     def __len__(self) -> int:
         return self.rows.dt.shape[-1]

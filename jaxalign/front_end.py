@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 from typing import Any
 
@@ -24,6 +25,7 @@ from jaxalign.precision import require_x64
 from jaxalign.prefilter import AbstractPrefilter, filtered_force
 from jaxalign.preintegration import Increment, Scheme, preintegrate
 from jaxalign.preintegration_host import joined, preintegrated, preintegrated_between
+from jaxalign.raw_noise import white_densities
 from jaxalign.vector import Quat, Vec3
 
 __all__ = ["FrontEnd", "aids_for", "check_prefilter", "epochs_from_arrays", "epochs_from_log", "is_standing"]
@@ -260,13 +262,15 @@ def epochs_from_log(
     values = tuple(_at_rows(aid, one, log.dt, rows, whole) for aid, one in seen)
     sd = tuple(1.0 if one is None or one.sd is None else one.sd for _, one in seen)
     known, site = tuple(aid for aid, _ in seen), Site(log.lat, log.lon, log.h)
+    raw = white_densities(log.dtheta, log.dvel, log.dt)
     step = int(rows[1]) if (rows == np.arange(len(rows)) * rows[1]).all() and rows[1] == round(rows[1]) else None
     if step is not None:
         used = int(rows[-1])
         of_all = {"dt": log.dt, "every": step, "site": site, "aid": known, "aid_sd": sd}
-        return epochs_from_arrays(
+        made = epochs_from_arrays(
             log.dtheta[:used], log.dvel[:used], values, **of_all, scheme=scheme, prefilter=prefilter
         )
+        return dataclasses.replace(made, raw_noise=raw)
     if scheme != "pairs" or prefilter is not None:
         raise UserError(
             f"{log.name}: its aids do not measure at equal intervals: the scheme {scheme!r} and prefilters need those"
@@ -275,7 +279,7 @@ def epochs_from_log(
     steps = np.diff(rows, prepend=0.0) * log.dt
     fixes = tuple(Fix.of(x, _partial(x)) for x in values)
     made = jax.device_put(Epoch(moved.rotation, moved.dvel, steps, fixes))  # pyright: ignore[reportArgumentType]
-    return Epochs(made, site, tuple(as_float64(x) for x in sd), known)
+    return Epochs(made, site, tuple(as_float64(x) for x in sd), known, raw_noise=raw)
 
 
 def _places(time: np.ndarray, dt: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from jaxalign.batch.problem import AidNoise, Problem, State
 from jaxalign.batch.trajectory import NominalTrajectory
 from jaxalign.preintegration import Increment
 from jaxalign.propagation import Place, advance_nav
-from jaxalign.vector import Vec3
+from jaxalign.vector import Quat, Vec3
 
 __all__ = ["LEVELS", "extend", "window_ends", "with_gyro_bias"]
 
@@ -54,33 +54,32 @@ def extend(problem: Problem, state: State, after: Any) -> State:
         state: what is known.
         after: (L,) the last epoch that stays as it is.
     """
-    start = Place.of(problem.site)
-    w_ie = start.earth_rate
+    begin = Place.of(problem.site)
+    w_ie = begin.earth_rate
     lanes = state.moving.shape
     index = jnp.arange(len(problem.rows.dt))
 
     def step(carry: Any, row: Any) -> Any:
         (q, v, gyro, accel), q_n0n, north = carry
-        epoch, now, n_now, k = row
+        epoch, now, k = row
         dt = epoch.dt
         moved = Increment(epoch.rotation, epoch.dvel).corrected(gyro, accel, dt)
         gained = q.rotate(moved.dvel)
-        meridian, _ = start.circle.radii
-        place = Place(start.circle.moved(north / (meridian + start.h)), start.h, start.anomaly)
-        in_n = q_n0n.conjugate().rotate(v)
-        rate = place.earth_rate + place.transport_rate(in_n)
-        new_n, fallen = advance_nav(q_n0n, rate, place.gravity, dt)
-        middle = v + (gained + fallen) * 0.5
-        ahead = (q * moved.rotation).renormalised(), v + gained + fallen - w_ie.cross(middle) * dt, gyro, accel
+        meridian, _ = begin.circle.radii
+        place = Place(begin.circle.moved(north / (meridian + begin.h)), begin.h, begin.anomaly)
         kept = k <= after
+        soon = v + gained + q_n0n.rotate(Vec3(0.0 * dt, 0.0 * dt, -place.gravity * dt))
+        middle = (v + jax.tree.map(lambda a, b: jnp.where(kept, a, b), now[1], soon)) * 0.5
+        in_n = q_n0n.conjugate().rotate(middle)
+        q_n0n, fallen = advance_nav(q_n0n, place.earth_rate + place.transport_rate(in_n), place.gravity, dt)
+        ahead = (q * moved.rotation).renormalised(), v + gained + fallen - w_ie.cross(middle) * dt, gyro, accel
         at = jax.tree.map(lambda a, b: jnp.where(kept, a, b), now, ahead)
-        n = jax.tree.map(lambda a, b: jnp.where(kept, a, b), n_now, new_n)
-        return (at, n, north + in_n.y * dt), (at, n)
+        return (at, q_n0n, north + in_n.y * dt), (at, q_n0n)
 
     nominal = state.at.attitude, state.at.velocity, state.at.gyro, state.at.accel
-    first = jax.tree.map(lambda x: x[0], (nominal, state.q_n0n))
-    rows = problem.rows, nominal, state.q_n0n, index
-    _, (at, q_n0n) = jax.lax.scan(step, (*first, jnp.zeros(lanes)), rows)
+    level = jax.tree.map(lambda x: x * jnp.ones(lanes), Quat.identity())
+    start = jax.tree.map(lambda x: x[0], nominal), level, jnp.zeros(lanes)
+    _, (at, q_n0n) = jax.lax.scan(step, start, (problem.rows, nominal, index))
     fresh = index[:, None] > after
     noise = tuple(
         AidNoise(jnp.where(fresh, 1.0, one.weight), one.variance, jnp.ones_like(one.times)) for one in state.noise
@@ -94,5 +93,3 @@ def with_gyro_bias(state: State, gyro: Any) -> State:
     return dataclasses.replace(
         state, at=dataclasses.replace(state.at, gyro=Vec3(*(jnp.broadcast_to(x, shape) for x in gyro)))
     )
-
-

@@ -29,7 +29,16 @@ from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epoch, Epochs
 from jaxalign.vector import Quat, Vec3
 
-__all__ = ["LANES", "RowSolutions", "padded_length", "solve_on_host", "solve_traced"]
+__all__ = [
+    "LANES",
+    "RowSolutions",
+    "begin_search",
+    "filled_rows",
+    "padded_length",
+    "solve_on_host",
+    "solve_traced",
+    "with_heading",
+]
 
 LANES = 16
 """Rows or runs side by side: what the step holds of them stays in the fastest cache."""
@@ -52,7 +61,8 @@ class RowSolutions(NamedTuple):
     beta: Float[Array, "3 L"]
 
 
-def _begun(model: Model, problem: Problem) -> tuple[State, Array, Array]:
+def begin_search(model: Model, problem: Problem) -> tuple[State, Array, Array]:
+    """The state to begin with, and the vectors of the last epochs (3, L), m/s, in n0 and b0."""
     pool = pool_velocities(model.aids, problem.rows.fixes)
     seen = integrate_vectors(problem.rows, problem.site, pool)
 
@@ -64,7 +74,7 @@ def _begun(model: Model, problem: Problem) -> tuple[State, Array, Array]:
     return initial_state(model, problem, pool, seen), at_last(seen.alpha), at_last(seen.beta)
 
 
-def _turned(begun: State, found: State, angle: Any, aids: tuple[AbstractAid, ...]) -> State:
+def with_heading(begun: State, found: State, angle: Any, aids: tuple[AbstractAid, ...]) -> State:
     """To begin again from a solution with another heading; an aid in n has measured the velocity."""
     return dataclasses.replace(begun, at=found.at.turned(angle, steady_aid(aids) is None))
 
@@ -102,7 +112,7 @@ def _searched(model: Model, problem: Problem, begun: State, iterations: int, sta
 
     def search(first: Any, number: Any) -> Any:
         start = jax.tree.map(
-            lambda a, b: jnp.where(number == 0, a, b), begun, _turned(begun, first, angles[number], model.aids)
+            lambda a, b: jnp.where(number == 0, a, b), begun, with_heading(begun, first, angles[number], model.aids)
         )
         state, read = _rounds(model, problem, start, iterations)
         return jax.tree.map(lambda a, b: jnp.where(number == 0, a, b), state, first), (read, state)
@@ -203,7 +213,7 @@ def _repeated(left: Callable[[Any], Any], b: Any, units: Any) -> Any:
 
 def solve_traced(model: Model, problem: Problem, iterations: int, starts: int) -> RowSolutions:
     """The solutions of some lanes, inside traced code."""
-    begun, alpha, beta = _begun(model, problem)
+    begun, alpha, beta = begin_search(model, problem)
     return RowSolutions(_converged(model, problem, begun, iterations, starts), alpha, beta)
 
 
@@ -215,7 +225,7 @@ def padded_length(count: int) -> int:
     return size
 
 
-def _filled(rows: Epoch) -> Epoch:
+def filled_rows(rows: Epoch) -> Epoch:
     """Epochs (K,) filled up with nothing, one lane: (K', 1)."""
     count = len(rows.dt)
     more = padded_length(count) - count
@@ -228,8 +238,8 @@ def _filled(rows: Epoch) -> Epoch:
     return eqx.tree_at(lambda e: e.rotation.w, out, fill(rows.rotation.w, 1.0))
 
 
-_begin = Program(_begun, {"xla_backend_optimization_level": 1})  # it runs once, and compiles faster so
-_step, _again, _chosen = Program(step), Program(_turned), Program(_best)
+_begin = Program(begin_search, {"xla_backend_optimization_level": 1})  # it runs once, and compiles faster so
+_step, _again, _chosen = Program(step), Program(with_heading), Program(_best)
 
 
 def solve_on_host(
@@ -253,7 +263,7 @@ def solve_on_host(
         lanes: side by side.
         done: told how many rows are finished, group by group.
     """
-    rows = _filled(epochs.rows)
+    rows = filled_rows(epochs.rows)
     groups = []
     for own, problem, count in _groups(model, epochs, rows, np.asarray(last), lanes):
         begun, alpha, beta = _begin(own, problem)

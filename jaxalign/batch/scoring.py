@@ -22,7 +22,7 @@ from jaxalign.batch.solver import motion_noise, prior_of
 from jaxalign.batch.trajectory import STATES, VELOCITY
 from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
 
-__all__ = ["held_noise", "score"]
+__all__ = ["held_noise", "noise_slopes", "score"]
 
 _MOST = 1.0  # of a logarithm, in one step
 _RIDGE = 1e-9
@@ -52,7 +52,7 @@ def score(
         theta: figures.
     """
     layout = Layout.of(model)
-    found = score_of_innovations(linear, _slopes(model, belief, problem, state, linear, layout, theta))
+    found = score_of_innovations(linear, noise_slopes(model, belief, problem, state, linear, layout, theta))
     _, pull, curve = log_prior(belief, layout, theta)
     free = 1.0 - belief.fixed
     slope = (found.slope + pull) * free[:, None]
@@ -62,7 +62,7 @@ def score(
     return jnp.maximum(theta + move, least_figures(belief, layout)), curve
 
 
-def _slopes(
+def noise_slopes(
     model: Model,
     belief: Beliefs,
     problem: Problem,
