@@ -27,17 +27,9 @@ if TYPE_CHECKING:
         AbstractImuFault,
         Drift,
         GSensitivity,
-        IncrementQuantisation,
         Misalignment,
-        PointSamples,
-        RateQuantisation,
-        Saturation,
         ScaleFactor,
-        Spikes,
-        Stuck,
-        Vibration,
         WarmUp,
-        Zeros,
     )
     from jaxalign.simulate.measurement import (
         Scenario,
@@ -59,6 +51,16 @@ if TYPE_CHECKING:
     )
     from jaxalign.simulate.named import scenario, scenario_options, scenarios, simulate
     from jaxalign.simulate.named_mistakes import MISTAKES, Mistake, with_mistake
+    from jaxalign.simulate.sample_faults import (
+        IncrementQuantisation,
+        PointSamples,
+        RateQuantisation,
+        Saturation,
+        Spikes,
+        Stuck,
+        Vibration,
+        Zeros,
+    )
     from jaxalign.simulate.sensors import SineForce, draw_bias
     from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps, Sum
     from jaxalign.simulate.trajectory import (
@@ -142,12 +144,12 @@ _HOMES = {
     "faults": "AbstractFault DeadComponent FixedOutliers Gap JumpOutliers SegmentOutliers",
     "file": "scenario_file",
     "imu": "Truth exact_increments specific_force turn_rate",
-    "imu_faults": "AbstractImuFault Drift GSensitivity IncrementQuantisation Misalignment PointSamples "
-    "RateQuantisation Saturation ScaleFactor Spikes Stuck Vibration WarmUp Zeros",
+    "imu_faults": "AbstractImuFault Drift GSensitivity Misalignment ScaleFactor WarmUp",
     "measurement": "Scenario aid_values imu_increments log_of measure noiseless truth",
     "motions": "accelerate_and_turn road s_turn static_base sway_underway swaying_base zigzag",
     "named": "scenario scenario_options scenarios simulate",
     "named_mistakes": "MISTAKES Mistake with_mistake",
+    "sample_faults": "IncrementQuantisation PointSamples RateQuantisation Saturation Spikes Stuck Vibration Zeros",
     "sensors": "SineForce draw_bias",
     "signals": "AbstractSignal Constant Ramps Sines Steps Sum",
     "trajectory": "AbstractVelocity VelocityInBody CourseVelocity VelocityInNav Trajectory",

@@ -92,20 +92,22 @@ from jaxalign.simulate.imu_faults import (
     AbstractImuFault,
     Drift,
     GSensitivity,
-    IncrementQuantisation,
     Misalignment,
-    PointSamples,
-    RateQuantisation,
-    Saturation,
     ScaleFactor,
-    Spikes,
-    Stuck,
-    Vibration,
     WarmUp,
-    Zeros,
 )
 from jaxalign.simulate.measurement import Scenario
 from jaxalign.simulate.named import scenario
+from jaxalign.simulate.sample_faults import (
+    IncrementQuantisation,
+    PointSamples,
+    RateQuantisation,
+    Saturation,
+    Spikes,
+    Stuck,
+    Vibration,
+    Zeros,
+)
 from jaxalign.simulate.sensors import SineForce
 from jaxalign.simulate.signals import AbstractSignal, Constant, Ramps, Sines, Steps
 from jaxalign.simulate.trajectory import AbstractVelocity, CourseVelocity, Trajectory, VelocityInBody, VelocityInNav
