@@ -148,7 +148,7 @@ class Epochs(eqx.Module):
     sd: tuple[Float[Array, "*m"], ...]
     aids: tuple[AbstractAid, ...] = eqx.field(static=True)
     filtered: bool = eqx.field(static=True, default=False)
-    raw_noise: Float[Array, 2] | None = None
+    raw_noise: Any = None
 
     def __len__(self) -> int:
         return self.rows.dt.shape[-1]

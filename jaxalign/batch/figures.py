@@ -255,8 +255,8 @@ def log_prior(belief: Beliefs, layout: Layout, theta: Any) -> tuple[Any, Any, An
     return value, slope, curve
 
 
-def applied(model: Model, belief: Beliefs, theta: Float[Array, "p L"]) -> Model:
-    """The model with these figures."""
+def applied(model: Model, belief: Beliefs, theta: Any) -> Model:
+    """The model with these figures (p, L)."""
     layout = Layout.of(model)
     gyro_bias, walk, accel_bias, density, gyro_wander, accel_wander = (jnp.exp(x)[None] for x in theta[:UNIT])
     mean = model.gyro_mean

@@ -64,7 +64,7 @@ class Fitted(eqx.Module):
     """
 
     state: State
-    theta: Float[Array, "p L"]
+    theta: Any
 
 
 def fit_step(

@@ -161,7 +161,7 @@ def _best_rows(model: Model, found: RowSolutions, count: int) -> RowSolutions:
     level = np.where(np.isfinite(level).any(axis=1, keepdims=True), level, all_of_it)
     by_row = jax.tree.map(lambda x: np.asarray(x).reshape(*x.shape[:-1], -1, _ROW_STARTS), found)
     q = np.moveaxis(by_row.read.q_nb, (0, -1), (-1, -2))
-    best, tilt = _modes(q, np.moveaxis(by_row.read.tilt, (0, 1, -1), (-2, -1, -3)), level)
+    best, tilt = _modes(q, np.moveaxis(by_row.read.tilt, (0, 1, -1), (-2, -1, -3)), level)  # pyright: ignore[reportArgumentType]
     best = np.asarray(best)
 
     def chosen(x: Any) -> Any:

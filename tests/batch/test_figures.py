@@ -103,7 +103,7 @@ def searched():
     model = model_of((ja.BodyVelocity(),), CALIBRATED)
     epochs = model_epochs = ja.epochs_from_log(log)
     belief = figures.beliefs(model, jnp.full((1, 2), float(epochs.sd[0])), epochs.raw_noise)
-    theta = figures.on_the_line(belief, large=False).at[:, 1].add(jnp.array([0.5, 0.6, 0.6, 0.7, 9.0, 3.0, 0.9, 1.0]))
+    theta = figures.on_the_line(belief, large=False).at[:, 1].add(jnp.array([3.0, 0.6, 0.6, 0.7, 9.0, 3.0, 0.9, 1.0]))
     rows = jax.tree.map(lambda x: x[:, None], epochs.rows)
     problem = Problem(rows, epochs.site, epochs.sd, jnp.full(2, EPOCHS - 1))
     state, _, _ = eqx.filter_jit(begin_search)(figures.applied(model, belief, theta), problem)
@@ -170,7 +170,7 @@ def test_scoring_against_differences(searched):
         slope = (-e * de / s + 0.5 * (e**2 / s - 1) * ds / s).sum(axis=1)
         curve = (de / s) @ de.T + 0.5 * (ds / s**2) @ ds.T
         scale = np.sqrt(np.diag(curve))
-        np.testing.assert_allclose(found.slope[:, 1] / scale, slope / scale, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(found.slope[:, 1] / scale, slope / scale, rtol=1e-3, atol=1e-3)
         both = np.outer(scale, scale)
         np.testing.assert_allclose(found.curve[:, :, 1] / both, curve / both, atol=1e-3)
 
