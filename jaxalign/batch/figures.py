@@ -32,6 +32,7 @@ __all__ = [
     "Layout",
     "applied",
     "beliefs",
+    "described",
     "least_figures",
     "log_prior",
     "on_the_line",

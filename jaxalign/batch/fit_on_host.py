@@ -34,7 +34,7 @@ from jaxalign.compilation.programs import Program
 from jaxalign.epochs import Epochs
 from jaxalign.inertial_unit import ImuErrors
 
-__all__ = ["HostFit", "fit_on_host", "rows_on_host"]
+__all__ = ["HostFit", "causal_on_host", "fit_on_host", "rows_on_host"]
 
 _ROW_ROUNDS = 12
 
@@ -79,6 +79,7 @@ def _row_levels(model: Model, read: Readout) -> Any:
 
 _quickly = {"xla_backend_optimization_level": 1}  # what runs once compiles faster so
 _prepare, _begin, _levels = Program(prepared, _quickly), Program(_row_begun, _quickly), Program(levels, _quickly)
+_modes = Program(best_of, _quickly)
 _step, _extend, _best = Program(fit_step), Program(extend, _quickly), Program(_row_levels, _quickly)
 
 
@@ -88,6 +89,7 @@ def fit_on_host(
     starts: tuple[Start, ...],
     imu: ImuErrors | None = None,
     centre: Any = None,
+    last: int | None = None,
     rounds: int = ROUNDS,
 ) -> HostFit:
     """Fit a record from several starts.
@@ -98,10 +100,12 @@ def fit_on_host(
         starts: where to begin.
         imu: figures that are known.
         centre: see :func:`jaxalign.batch.figures.beliefs`.
+        last: the last epoch whose fix counts; None: of all.
         rounds: steps in which the figures are fitted.
     """
     filled = dataclasses.replace(epochs, rows=filled_rows(epochs.rows))
-    last, grown = len(epochs) - 1, np.array([one.grown for one in starts])
+    last = len(epochs) - 1 if last is None else last
+    grown = np.array([one.grown for one in starts])
     belief, at, ends = _prepare(model, filled, np.asarray(last), starts, imu, centre)
     ends = np.asarray(ends)
 
@@ -128,6 +132,39 @@ def fit_on_host(
     _, read = stepped(problem, at, HOLD, True)
     level = np.asarray(_levels(model, belief, at, read))
     return HostFit(filled, belief, at, jax.tree.map(np.asarray, read), level, tuple(windows), starts)
+
+
+def causal_on_host(
+    model: Model,
+    epochs: Epochs,
+    starts: tuple[Start, ...],
+    numbers: np.ndarray,
+    imu: ImuErrors | None = None,
+    centre: Any = None,
+    done: Callable[[int], None] | None = None,
+) -> tuple[RowSolutions, np.ndarray]:
+    """Rows by the fixes up to each alone, the figures too; and those (p, rows). Each costs a fit.
+
+    Arguments as of :func:`fit_on_host` and :func:`rows_on_host`.
+    """
+    found, figures = [], []
+    for row in numbers:
+        fit = fit_on_host(model, epochs, starts, imu, centre, int(row))
+        problem = Problem(fit.epochs.rows, epochs.site, epochs.sd, np.full(len(starts), row), row + 1)
+        _, alpha, beta = _begin(model, fit.belief, problem, fit.fitted.theta)
+        found.append(_best_of_starts(fit, RowSolutions(fit.read, alpha, beta)))
+        figures.append(np.asarray(fit.fitted.theta)[:, fit.best])
+        if done is not None:
+            done(1)
+    return jax.tree.map(lambda *x: np.stack(x, axis=-1), *found), np.stack(figures, axis=-1)
+
+
+def _best_of_starts(fit: HostFit, found: RowSolutions) -> RowSolutions:
+    """Without lanes."""
+    read: Any = fit.read
+    tilt = _modes(np.moveaxis(read.q_nb, -1, 0), np.moveaxis(read.tilt, -1, 0), fit.level)[1]  # pyright: ignore[reportArgumentType]
+    out = _lane(found, fit.best)
+    return out._replace(read=dataclasses.replace(out.read, tilt=np.asarray(tilt)))
 
 
 def rows_on_host(

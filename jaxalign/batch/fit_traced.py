@@ -38,7 +38,7 @@ from jaxalign.batch.problem import Model, Problem, Readout, State
 from jaxalign.epochs import Epochs
 from jaxalign.inertial_unit import ImuErrors
 
-__all__ = ["TracedFit", "fit_traced", "rows_traced"]
+__all__ = ["TracedFit", "causal_traced", "fit_traced", "rows_traced"]
 
 
 class TracedFit(NamedTuple):
@@ -69,20 +69,21 @@ def fit_traced(
     starts: tuple[Start, ...],
     imu: ImuErrors | None = None,
     centre: Any = None,
+    until: Any = None,
     rounds: int = ROUNDS,
 ) -> TracedFit:
     """The same as :func:`jaxalign.batch.fit_on_host.fit_on_host`, with a lane for each start; no derivatives."""
     model, epochs, imu = jax.lax.stop_gradient((model, epochs, imu))
     rows = jax.tree.map(lambda x: x[:, None], epochs.rows)
-    count, lanes = len(epochs), len(starts)
-    last = jnp.full(lanes, count - 1)
+    until = jnp.asarray(len(epochs) - 1 if until is None else until)
+    last = jnp.full(len(starts), until)
     grown, pair = np.array([one.grown for one in starts]), opposite_headings(starts)
 
     def upto(lasts: Any) -> Problem:
         return Problem(rows, epochs.site, epochs.sd, lasts, jnp.max(lasts) + 1)
 
     whole = dataclasses.replace(epochs, rows=rows)
-    belief, start, ends = prepared(model, whole, jnp.asarray(count - 1), starts, imu, centre)
+    belief, start, ends = prepared(model, whole, until, starts, imu, centre)
     growing, steps = LEVELS * SETTLED, LEVELS * SETTLED + SETTLED + rounds
 
     def body(number: Any, carry: Any) -> Any:
@@ -153,6 +154,40 @@ def rows_traced(model: Model, epochs: Epochs, fit: TracedFit, numbers: np.ndarra
 
     found = jax.tree.map(chosen, RowSolutions(read, alpha, beta))
     return found._replace(read=dataclasses.replace(found.read, tilt=jnp.moveaxis(tilt, 0, -1)))
+
+
+def causal_traced(
+    model: Model,
+    epochs: Epochs,
+    starts: tuple[Start, ...],
+    numbers: np.ndarray,
+    iterations: int,
+    imu: ImuErrors | None = None,
+    centre: Any = None,
+) -> tuple[RowSolutions, Float[Array, "p rows"]]:
+    """Rows by the fixes up to each alone, the figures too; and those. One row after the other."""
+    rows = jax.tree.map(lambda x: x[:, None], epochs.rows)
+
+    def one(number: Any) -> Any:
+        fit = fit_traced(model, epochs, starts, imu, centre, number)
+        own = applied(model, _over(fit.belief, 1), fit.fitted.theta[:, fit.best, None])
+        problem = Problem(rows, epochs.site, epochs.sd, number[None])
+        _, alpha, beta = begin_search(own, problem)
+        yes = jnp.ones(1, bool)
+        state = jax.tree.map(lambda x: x[..., fit.best, None], fit.fitted.state)
+        read = converged(own, problem, dataclasses.replace(state, early=~yes, moving=yes), iterations, 1)
+        of_starts = fit.read.q_nb.T, jnp.moveaxis(fit.read.tilt, -1, 0)
+        others = best_of(*of_starts, fit.level)[1] - fit.read.tilt[..., fit.best]
+        read = dataclasses.replace(read, tilt=read.tilt + others[..., None])
+        return jax.tree.map(lambda x: x[..., 0], (RowSolutions(read, alpha, beta), own_figures(fit)))
+
+    found, figures = jax.lax.map(one, jnp.asarray(numbers))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (found, figures))
+
+
+def own_figures(fit: TracedFit) -> Float[Array, "p 1"]:
+    """Those of the best start."""
+    return fit.fitted.theta[:, fit.best, None]
 
 
 def _over(belief: Beliefs, lanes: int) -> Beliefs:
