@@ -225,8 +225,8 @@ def _best_rows(model: Model, found: RowSolutions, count: int) -> RowSolutions:
     best, tilt = (np.asarray(x) for x in _best(model, found.read))
 
     def chosen(x: Any) -> Any:
-        x = np.asarray(x).reshape(*x.shape[:-1], -1, ROW_STARTS)
-        return np.take_along_axis(x, best.reshape(*[1] * (x.ndim - 2), -1, 1), axis=-1)[..., :count, 0]
+        x = np.asarray(x).reshape(*x.shape[:-1], len(best), ROW_STARTS)
+        return np.take_along_axis(x, best.reshape(*[1] * (x.ndim - 2), len(best), 1), axis=-1)[..., :count, 0]
 
     out = jax.tree.map(chosen, found)
     return out._replace(read=dataclasses.replace(out.read, tilt=np.moveaxis(tilt, 0, -1)[..., :count]))
