@@ -146,6 +146,11 @@ class AbstractMethod(eqx.Module):
         return {}
 
     @property
+    def figures(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of what it fits of the inertial unit and the aids: ``Solution.filter.figures``."""
+        return ()
+
+    @property
     def fits_vectors(self) -> bool:
         """Whether its residuals are those of vectors that were fitted: they hide outliers and biases."""
         return False

@@ -100,6 +100,8 @@ class FilterRecord(eqx.Module):
         updated: (K,) 1 where there was an update, else 0; or None.
         log_likelihood: (K,) of the measurements up to this epoch by the model, but for a constant; or None.
         calibration: (K, m) unknowns of the aids, SI; ``method.unknowns`` says which are where; or None.
+        figures: (K, p) of the inertial unit and of the aids that were fitted; ``method.figures`` has their names and
+            units; or None.
     """
 
     gyro_bias: Float[Array, "*K 3"]
@@ -110,6 +112,7 @@ class FilterRecord(eqx.Module):
     updated: Float[Array, "*K"] | None = None
     log_likelihood: Float[Array, "*K"] | None = None
     calibration: Float[Array, "*K m"] | None = None
+    figures: Float[Array, "*K p"] | None = None
 
 
 class Solution(eqx.Module):
@@ -233,7 +236,7 @@ class Solution(eqx.Module):
             out["gyro_bias"] = self._masked(self.filter.gyro_bias)
             out["accel_bias"] = self._masked(self.filter.accel_bias)
             out["covariance"] = self._masked(self.filter.covariance)
-            for name in ("innovation", "innovation_covariance", "log_likelihood", "calibration"):
+            for name in ("innovation", "innovation_covariance", "log_likelihood", "calibration", "figures"):
                 if (values := getattr(self.filter, name)) is not None:
                     out[name] = self._masked(values)
         if self.nav is not None:

@@ -32,6 +32,7 @@ __all__ = [
     "Layout",
     "applied",
     "beliefs",
+    "described",
     "least_figures",
     "log_prior",
     "on_the_line",
@@ -272,7 +273,8 @@ def applied(model: Model, belief: Beliefs, theta: Any) -> Model:
     for aid_places, slow in zip(unknowns_of(model.aids, model.unknown), layout.slow, strict=True):
         if slow is not None:
             sd = sd.at[aid_places["slow"]].set(jnp.exp(theta[slow]))
-    return dataclasses.replace(model, imu=imu, sd=sd, gyro_mean=mean)
+    held = tuple(jnp.exp(2 * theta[j]) for j in layout.noise)
+    return dataclasses.replace(model, imu=imu, sd=sd, gyro_mean=mean, held=held)
 
 
 def described(aids: tuple[AbstractAid, ...], layout: Layout) -> tuple[tuple[str, str], ...]:

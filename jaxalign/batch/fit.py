@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxalign.aids import AbstractAid
-from jaxalign.batch.figures import Beliefs, Layout, applied, beliefs, least_figures, on_the_line
+from jaxalign.batch.figures import Beliefs, Layout, applied, beliefs, least_figures, log_prior, on_the_line
+from jaxalign.batch.growth import extend, window_ends, with_gyro_bias
+from jaxalign.batch.iterate import begin_search, with_heading
 from jaxalign.batch.problem import LEAST_SD, Model, Problem, Readout, State
 from jaxalign.batch.scoring import held_noise, score
 from jaxalign.batch.solver import advance, linearize_problem, with_steady
@@ -27,17 +29,18 @@ from jaxalign.wgs84 import EARTH_RATE, STANDARD_GRAVITY
 __all__ = [
     "FIT",
     "HOLD",
-    "MOST_ACCEL_BIAS",
-    "MOST_GYRO_BIAS",
     "ROUNDS",
+    "ROW_STARTS",
     "SETTLE",
     "SETTLED",
-    "Fit",
     "Fitted",
+    "Prepared",
     "Start",
-    "belief_of",
-    "first_figures",
+    "counted",
     "fit_step",
+    "levels",
+    "opposite_headings",
+    "prepared",
     "usual_starts",
     "within_belief",
 ]
@@ -46,9 +49,10 @@ SETTLE, FIT, HOLD = 0, 1, 2
 """Phases: the noise of the aids by the median of the misfits, other figures held; all figures fitted; all held."""
 SETTLED, ROUNDS = 4, 12
 """Steps of the first phase, and of the second."""
-MOST_GYRO_BIAS = float(np.deg2rad(5.0))
-MOST_ACCEL_BIAS = 0.15e6 * UG
-"""rad/s and m/s^2: no sensor of attitude has more."""
+ROW_STARTS = 4
+"""Of a row: the whole record, the attitude that needs no guess, two headings of the window before it."""
+_MOST_GYRO_BIAS = float(np.deg2rad(5.0))  # rad/s
+_MOST_ACCEL_BIAS = 0.15e6 * UG  # no sensor of attitude has more
 _BELIEF = 5.0  # deviations of an unknown
 _LOOSE = 1.0  # decades: hardly anything is known of a slow error
 _SLOW = (1.0, 30.0)  # times what is believed of it, to begin with
@@ -132,80 +136,128 @@ def usual_starts(aids: tuple[AbstractAid, ...]) -> tuple[Start, ...]:
     return (*both, *(Start(True, turn) for turn in turns[2:4]))
 
 
-class Fit(NamedTuple):
-    """What the starts of one record have led to; leaves have them on the last axis.
-
-    Attributes:
-        fitted: trajectories and figures.
-        read: solutions at the last epoch.
-        posterior: (L,) logarithm, but for a constant.
-        believable: (L,) whether what was found is within belief.
-        windows: last epoch of each window, and what had been found there.
-        starts: that they are of.
-    """
-
-    fitted: Fitted
-    read: Readout
-    posterior: np.ndarray
-    believable: np.ndarray
-    windows: tuple[tuple[int, Fitted], ...]
-    starts: tuple[Start, ...]
-
-    @property
-    def level(self) -> np.ndarray:
-        """(L,) posterior of the starts that count: of those within belief, if there is any."""
-        known = np.isfinite(self.posterior)
-        counts = known & self.believable
-        return np.where(counts if counts.any() else known, self.posterior, -np.inf)
-
-    @property
-    def best(self) -> int:
-        """The number of the best start."""
-        return int(np.argmax(self.level))
-
-
-def within_belief(model: Model, read: Readout) -> np.ndarray:
+def within_belief(model: Model, read: Readout) -> Any:
     """(L,) whether biases are such as sensors have, and unknowns within a few deviations of what was believed.
 
     A likelihood leaves out what the model does not know, and then prefers a fit by a few parts in a hundred to
     any prior: a clock that is late by ten deviations is not believed for that.
     """
-    gyro = np.max(np.abs(np.asarray(read.gyro)), axis=0) <= MOST_GYRO_BIAS
-    accel = np.max(np.abs(np.asarray(read.accel)), axis=0) <= MOST_ACCEL_BIAS
-    constant = np.isinf(np.asarray(model.fade_s))
-    sd = np.asarray(model.sd)[constant]
-    sd = sd if sd.ndim > 1 else sd[:, None]
-    far = np.abs(np.asarray(read.unknowns)[constant]) > _BELIEF * sd
-    return gyro & accel & ~far.any(axis=0)
+    gyro = jnp.max(jnp.abs(read.gyro), axis=0) <= _MOST_GYRO_BIAS
+    accel = jnp.max(jnp.abs(read.accel), axis=0) <= _MOST_ACCEL_BIAS
+    sd = model.sd if model.sd.ndim > 1 else model.sd[:, None]
+    constant = jnp.isinf(model.fade_s)[:, None]
+    far = constant & (jnp.abs(read.unknowns) > _BELIEF * sd)
+    return gyro & accel & ~jnp.any(far, axis=0)
 
 
-def belief_of(model: Model, epochs: Epochs, lanes: int, imu: ImuErrors | None = None, centre: Any = None) -> Beliefs:
-    """What is believed of the figures of one record; host.
+def believed(
+    model: Model, epochs: Epochs, span: Any, lanes: int, imu: ImuErrors | None = None, centre: Any = None
+) -> Beliefs:
+    """What is believed of the figures of one record; pure.
 
     Of a standing vehicle the mean rate tells the bias of the gyroscopes, but for its sway, and the wandering of the
     path leaves a noise of second order.
+
+    Args:
+        model: its aids and their unknowns.
+        epochs: of one log, leaves of the rows (K,) or (K, 1).
+        span: s, of them.
+        lanes: how many.
+        imu: figures that are known.
+        centre: see :func:`jaxalign.batch.figures.beliefs`.
     """
-    stated = np.array([[max(float(np.sqrt(np.mean(np.square(np.asarray(sd))))), LEAST_SD)] for sd in epochs.sd])
-    raw = None if epochs.raw_noise is None else np.asarray(epochs.raw_noise)
+    stated = jnp.stack([jnp.maximum(jnp.sqrt(jnp.mean(jnp.square(sd))), LEAST_SD) for sd in epochs.sd])[:, None]
+    raw = epochs.raw_noise
     rate = rate_sd = None
     if all(aid.implied for aid in model.aids):
-        span = float(np.asarray(epochs.rows.dt).sum())
         q = epochs.rows.rotation
-        half = np.stack([np.asarray(x) for x in (q.x, q.y, q.z)])  # of small turns
-        rate = np.repeat(2.0 * half.sum(axis=1, keepdims=True) / span, lanes, axis=1)
-        rate_sd = np.full(lanes, _SWAY / span + EARTH_RATE)
+        half = jnp.stack([jnp.sum(x) for x in (q.x, q.y, q.z)])  # of small turns
+        rate = jnp.broadcast_to((2.0 * half / span)[:, None], (3, lanes))
+        rate_sd = jnp.broadcast_to(_SWAY / span + EARTH_RATE, (lanes,))
         if raw is not None:
-            stated = np.maximum(stated, STANDARD_GRAVITY * span**2 * raw[0] ** 2)
-    return beliefs(model, np.repeat(stated, lanes, axis=1), raw, imu, centre, rate, rate_sd)
+            stated = jnp.maximum(stated, STANDARD_GRAVITY * span**2 * jnp.asarray(raw)[0] ** 2)
+    return beliefs(model, jnp.broadcast_to(stated, (len(stated), lanes)), raw, imu, centre, rate, rate_sd)
 
 
 def first_figures(model: Model, belief: Beliefs, starts: tuple[Start, ...]) -> Float[Array, "p L"]:
     """(p, L) of each start."""
     layout = Layout.of(model)
-    grown = np.array([one.grown for one in starts])
-    theta = np.where(grown, np.asarray(on_the_line(belief, True)), np.asarray(on_the_line(belief, False)))
-    for slow, noise, stated in zip(layout.slow, layout.noise, np.asarray(belief.stated), strict=True):
-        theta[noise] = stated
+    grown = jnp.array([one.grown for one in starts])
+    theta = jnp.where(grown, on_the_line(belief, True), on_the_line(belief, False))
+    for slow, noise, stated in zip(layout.slow, layout.noise, belief.stated, strict=True):
+        theta = theta.at[noise].set(stated)
         if slow is not None:
-            theta[slow] = theta[slow] + np.log([one.slow for one in starts])
-    return jnp.asarray(theta)
+            theta = theta.at[slow].add(jnp.log(jnp.array([one.slow for one in starts])))
+    return theta
+
+
+class Prepared(NamedTuple):
+    """Where a fit begins.
+
+    Attributes:
+        belief: of the figures.
+        fitted: of each start: those that grow in their first window, the others over the whole record.
+        ends: (10,) last epochs of the windows.
+    """
+
+    belief: Beliefs
+    fitted: Fitted
+    ends: Any
+
+
+def prepared(
+    model: Model,
+    epochs: Epochs,
+    last: Any,
+    starts: tuple[Start, ...],
+    imu: ImuErrors | None = None,
+    centre: Any = None,
+) -> Prepared:
+    """Belief, windows and the trajectories to begin with; pure.
+
+    Args:
+        model: what is known but for the figures; ``aid_noise`` "held".
+        epochs: of one log, leaves of the rows (K, 1).
+        last: the last epoch; behind it nothing.
+        starts: where to begin.
+        imu: figures that are known.
+        centre: see :func:`jaxalign.batch.figures.beliefs`.
+    """
+    lanes = len(starts)
+    time = jnp.cumsum(epochs.rows.dt[:, 0])
+    belief = believed(model, epochs, time[last], lanes, imu, centre)
+    aided = jnp.any(jnp.stack([fix.valid[:, 0] for fix in epochs.rows.fixes]), axis=0)
+    ends = window_ends(time, aided, last)
+    grown = jnp.array([one.grown for one in starts])
+    first = jnp.where(grown, ends[0], last)
+    problem = Problem(epochs.rows, epochs.site, epochs.sd, first)
+    theta = first_figures(model, belief, starts)
+    own = applied(model, belief, theta)
+    state, _, _ = begin_search(own, problem)
+    state = with_heading(state, state, jnp.array([one.turn for one in starts]), model.aids)
+    if belief.rate is not None:  # the bias that the mean rate speaks for, as far as the figures allow it
+        state = with_gyro_bias(state, jnp.where(grown, own.gyro_mean, 0.0))
+        state = extend(problem, state, jnp.where(grown, 0, last))
+    return Prepared(belief, Fitted(state, theta), ends)
+
+
+def levels(model: Model, belief: Beliefs, fitted: Fitted, read: Readout) -> Float[Array, " L"]:
+    """Logarithm of the posterior of what counts, but for a constant; minus infinity where it does not.
+
+    What is within belief counts; if nothing is, all that is finite.
+    """
+    value = read.log_likelihood + log_prior(belief, Layout.of(model), fitted.theta)[0]
+    return counted(value, within_belief(model, read))
+
+
+def counted(level: Any, believable: Any) -> Any:
+    """(..., n) levels of those that count along the last axis."""
+    known = jnp.isfinite(level)
+    good = known & believable
+    return jnp.where(jnp.where(jnp.any(good, axis=-1, keepdims=True), good, known), level, -jnp.inf)
+
+
+def opposite_headings(starts: tuple[Start, ...]) -> tuple[int, int]:
+    """The numbers of two opposite headings that grow."""
+    grown = [i for i, one in enumerate(starts) if one.grown]
+    return grown[0], next(i for i in grown if starts[i].turn == np.pi)

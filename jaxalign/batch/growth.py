@@ -13,7 +13,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxalign.batch.problem import AidNoise, Problem, State
 from jaxalign.batch.trajectory import NominalTrajectory
@@ -28,22 +27,26 @@ _FIRST, _RATIO = 4.0, 1.6  # s; of one window to the one before it
 _FEWEST = 3  # fixes in the first
 
 
-def window_ends(time: Float[np.ndarray, " K"], aided: np.ndarray, last: int) -> np.ndarray:
-    """(10,) the last epoch of each window, host.
+def window_ends(time: Any, aided: Any, last: Any) -> Any:
+    """(10, ...) the last epoch of each window; NumPy or traced.
 
     Args:
-        time: of the epochs, s.
+        time: (K,) of the epochs, s.
         aided: (K,) whether there is a fix.
-        last: epoch that the last one ends at.
+        last: (...) epochs that the last windows end at.
     """
-    span = float(time[last] - time[0])
-    ratio = max(_RATIO, (max(span, _FIRST) / _FIRST) ** (1.0 / (LEVELS - 1)))
-    ends = np.searchsorted(time - time[0], _FIRST * ratio ** np.arange(LEVELS))
-    fixes = np.flatnonzero(aided[: last + 1])
-    least = int(fixes[_FEWEST - 1]) if len(fixes) >= _FEWEST else last
-    ends = np.clip(ends, max(2, least), None)
-    ends[-1] = last
-    return np.minimum(ends, last)
+    xp = np if isinstance(time, np.ndarray) else jnp
+    last = xp.asarray(last)
+    time = time - time[0]
+    span = xp.maximum(time[last], _FIRST)
+    ratio = xp.maximum(_RATIO, (span / _FIRST) ** (1.0 / (LEVELS - 1)))
+    power = np.arange(LEVELS).reshape(LEVELS, *[1] * last.ndim)
+    ends = xp.searchsorted(time, _FIRST * ratio**power)
+    fixes = xp.cumsum(aided)
+    fewest = xp.minimum(xp.sum(fixes < _FEWEST), len(time) - 1)
+    ends = xp.maximum(ends, xp.maximum(fewest, 2))
+    ends = xp.where(power == LEVELS - 1, last, ends)
+    return xp.minimum(ends, last)
 
 
 def extend(problem: Problem, state: State, after: Any) -> State:

@@ -33,6 +33,7 @@ __all__ = [
     "LANES",
     "RowSolutions",
     "begin_search",
+    "converged",
     "filled_rows",
     "padded_length",
     "solve_on_host",
@@ -128,12 +129,12 @@ def _searched(model: Model, problem: Problem, begun: State, iterations: int, sta
 
 
 @eqx.filter_custom_jvp
-def _converged(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> Readout:
+def converged(model: Model, problem: Problem, begun: State, iterations: int, starts: int) -> Readout:
     """The solution; its derivatives are those of the fixed point of the step."""
     return _searched(model, problem, begun, iterations, starts)[0]
 
 
-@_converged.def_jvp
+@converged.def_jvp
 def _converged_jvp(primals: Any, tangents: Any) -> Any:
     model, problem, begun, iterations, starts = primals
     read, state = jax.lax.stop_gradient(_searched(model, problem, begun, iterations, starts))
@@ -214,7 +215,7 @@ def _repeated(left: Callable[[Any], Any], b: Any, units: Any) -> Any:
 def solve_traced(model: Model, problem: Problem, iterations: int, starts: int) -> RowSolutions:
     """The solutions of some lanes, inside traced code."""
     begun, alpha, beta = begin_search(model, problem)
-    return RowSolutions(_converged(model, problem, begun, iterations, starts), alpha, beta)
+    return RowSolutions(converged(model, problem, begun, iterations, starts), alpha, beta)
 
 
 def padded_length(count: int) -> int:

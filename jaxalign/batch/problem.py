@@ -40,6 +40,7 @@ class Model(eqx.Module):
         aid_noise: how it is found; "held": it stays as it is.
         aids: what measures.
         gyro_mean: (3, L) or a number: the bias of the gyroscopes that is expected beforehand, rad/s.
+        held: of each aid the variance of its noise (L,), where it is held.
     """
 
     imu: ImuErrors
@@ -52,6 +53,7 @@ class Model(eqx.Module):
     aid_noise: str = eqx.field(static=True)
     aids: tuple[AbstractAid, ...] = eqx.field(static=True)
     gyro_mean: Any = 0.0
+    held: Any = None
 
 
 class Problem(eqx.Module):

@@ -31,7 +31,7 @@ from jaxalign.precision import require_x64
 from jaxalign.solution import Solution, assembled
 from jaxalign.wgs84 import SEMI_MAJOR_AXIS, curvature
 
-__all__ = ["FEWEST_FIXES", "RobustMap"]
+__all__ = ["FEWEST_FIXES", "RobustMap", "assembled_rows"]
 
 FEWEST_FIXES = 3
 """That an attitude takes."""
@@ -204,13 +204,13 @@ class RobustMap(AbstractMethod):
         require_x64(epochs)
         numbers = row_numbers(len(epochs), rows)
         if any(isinstance(x, Tracer) for x in jax.tree.leaves((self, epochs))):
-            return _assembled(self, epochs.site, epochs.rows, numbers, _rows_of(self, epochs, numbers))
+            return assembled_rows(self, epochs.site, epochs.rows, numbers, _rows_of(self, epochs, numbers))
         lanes = min(LANES, 1 << (len(numbers) - 1).bit_length())
         with eval_context():  # inside traced code too, where both are constants
             found = solve_on_host(
                 self.model, epochs, numbers, self.iterations, self.heading_count, lanes=lanes, done=done
             )
-            return _assembled(self, epochs.site, epochs.rows, numbers, found)
+            return assembled_rows(self, epochs.site, epochs.rows, numbers, found)
 
     def solve_runs(self, epochs: Epochs, rows: Any = 1) -> Solution:
         """Align many runs side by side: leaves of ``epochs.rows`` that differ have the runs on the last axis. Pure.
@@ -317,13 +317,24 @@ def _runs_of(method: RobustMap, epochs: Epochs, numbers: np.ndarray) -> Solution
         return x.reshape(of_runs.size, *x.shape[2:-2], of_rows.size)[:runs, ..., :count]
 
     rows = jax.tree.map(lambda x: x.T if x.ndim > 1 else jnp.broadcast_to(x, (runs, len(x))), epochs.rows)
-    return jax.vmap(lambda rows, found: _assembled(method, epochs.site, rows, numbers, found))(
+    return jax.vmap(lambda rows, found: assembled_rows(method, epochs.site, rows, numbers, found))(
         rows, jax.tree.map(by_run, found)
     )
 
 
-def _assembled(method: RobustMap, site: Site, rows: Epoch, numbers: np.ndarray, found: RowSolutions) -> Solution:
-    """Rows on the first axis, and what to say of each; on the host with NumPy, to compile nothing."""
+def assembled_rows(
+    method: RobustMap, site: Site, rows: Epoch, numbers: np.ndarray, found: RowSolutions, figures: Any = None
+) -> Solution:
+    """Rows on the first axis, and what to say of each; on the host with NumPy, to compile nothing.
+
+    Args:
+        method: whose unknowns and aids they have.
+        site: of the epochs.
+        rows: the epochs.
+        numbers: of those that are read out.
+        found: their solutions.
+        figures: (p, rows) that were fitted, or None.
+    """
     given = rows.dt, rows.fixes, found, site
     xp = jnp if any(isinstance(x, Tracer) for x in jax.tree.leaves(given)) else np
     dt, fixes, (read, alpha, beta), site = jax.tree.map(xp.asarray, given)
@@ -343,6 +354,7 @@ def _assembled(method: RobustMap, site: Site, rows: Epoch, numbers: np.ndarray, 
         "covariance": read.covariance,
         "log_likelihood": read.log_likelihood,
         "calibration": read.unknowns if method.unknowns else None,
+        "figures": None if figures is None else xp.asarray(figures).T,
     }
     return assembled(
         time=xp.cumsum(dt)[numbers],

@@ -21,6 +21,7 @@ from jaxalign.batch.smoother import LinearProblem
 from jaxalign.batch.solver import motion_noise, prior_of
 from jaxalign.batch.trajectory import STATES, VELOCITY
 from jaxalign.inertial_unit import AccelErrors, GyroErrors, ImuErrors
+from jaxalign.linear import solve_positive
 
 __all__ = ["held_noise", "noise_slopes", "score"]
 
@@ -58,7 +59,8 @@ def score(
     slope = (found.slope + pull) * free[:, None]
     curve = (found.curve + curve) * (free[:, None] * free[None])[:, :, None]
     curve = curve + jnp.diag(belief.fixed + _RIDGE)[:, :, None]
-    move = jnp.clip(_solved(curve, slope), -_MOST, _MOST)
+    move = solve_positive(jnp.moveaxis(curve, -1, 0), slope.T[..., None])[..., 0].T
+    move = jnp.clip(move, -_MOST, _MOST)
     return jnp.maximum(theta + move, least_figures(belief, layout)), curve
 
 
@@ -107,22 +109,3 @@ def noise_slopes(
         *first,
         by=WHITE,
     )
-
-
-def _solved(matrix: Float[Array, "p p L"], side: Float[Array, "p L"]) -> Float[Array, "p L"]:
-    """Of a positive matrix in each lane: by its Cholesky factor, a column at a time."""
-    count = len(side)
-    rows: list[list[Any]] = []
-    for i in range(count):
-        row: list[Any] = []
-        for j in range(i + 1):
-            rest = matrix[i, j] - sum(row[k] * (rows[j][k] if j < i else row[k]) for k in range(j))
-            row.append(rest / rows[j][j] if j < i else jnp.sqrt(rest))
-        rows.append(row)
-    forward: list[Any] = []
-    for i in range(count):
-        forward.append((side[i] - sum(rows[i][k] * forward[k] for k in range(i))) / rows[i][i])
-    out: list[Any] = [None] * count
-    for i in reversed(range(count)):
-        out[i] = (forward[i] - sum(rows[k][i] * out[k] for k in range(i + 1, count))) / rows[i][i]
-    return jnp.stack(out)

@@ -241,7 +241,7 @@ def _judged(model: Model, problem: Problem, state: State, noise: Any, early: Any
     of_aids = zip(
         model.aids, parts_of(model.aids), problem.deviations, problem.used, problem.counts, state.noise, strict=True
     )
-    for aid, part, (stated, ratio), used, count, before in of_aids:
+    for number, (aid, part, (stated, ratio), used, count, before) in enumerate(of_aids):
         own = noise[:, part] if isinstance(ratio, float) else noise[:, part] / jnp.sqrt(ratio)
         share = 1.0
         if len(model.aids) > 1:
@@ -254,7 +254,7 @@ def _judged(model: Model, problem: Problem, state: State, noise: Any, early: Any
         judged = jnp.where(early, median, before.variance)
         good, weight = weigh(own, judged, used, model.outlier_probability, model.outlier_ratio, count)
         if model.aid_noise == "held":
-            mean, times = before.variance, jnp.ones_like(before.variance)
+            mean, times = model.held[number], jnp.ones_like(before.variance)
         else:
             mean, times = estimate_noise(own, good, stated, model.aid_noise, count, share)
         out.append((weight, mean, times, judged))

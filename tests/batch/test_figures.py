@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import jaxalign as ja
+from jaxalign.alignment import epochs_for
 from jaxalign.batch import figures, scoring, solver
 from jaxalign.batch.figures import Layout
-from jaxalign.batch.fit import Start, belief_of, usual_starts
+from jaxalign.batch.fit import Start, counted, usual_starts
 from jaxalign.batch.fit_on_host import fit_on_host, rows_on_host
+from jaxalign.batch.fit_traced import fit_traced, rows_traced
 from jaxalign.batch.growth import extend, window_ends
-from jaxalign.batch.iterate import begin_search, filled_rows
+from jaxalign.batch.iterate import begin_search
 from jaxalign.batch.problem import Problem
 from jaxalign.batch.smoother import propagate
 from jaxalign.batch.trajectory import VELOCITY, mechanize
@@ -28,7 +30,7 @@ CALIBRATED = ("scale", "mounting", "slow")
 
 def model_of(aids, calibrate):
     method = ja.RobustMap(aids=aids, calibrate=calibrate)
-    return dataclasses.replace(method.model, aid_noise="held", gyro_mean=np.zeros((3, 1)))
+    return dataclasses.replace(method.model, aid_noise="held")
 
 
 @pytest.mark.parametrize(("rate", "filtered"), [(100.0, False), (200.0, True)])
@@ -101,14 +103,14 @@ def searched():
     """A trajectory of a sailing vehicle by the attitude that needs no guess, two lanes with different figures."""
     log = simulate("dvl-sturn", seed=2, duration=float(EPOCHS - 1))
     model = model_of((ja.BodyVelocity(),), CALIBRATED)
-    epochs = model_epochs = ja.epochs_from_log(log)
+    epochs = ja.epochs_from_log(log)
     belief = figures.beliefs(model, jnp.full((1, 2), float(epochs.sd[0])), epochs.raw_noise)
     theta = figures.on_the_line(belief, large=False).at[:, 1].add(jnp.array([3.0, 0.6, 0.6, 0.7, 9.0, 3.0, 0.9, 1.0]))
     rows = jax.tree.map(lambda x: x[:, None], epochs.rows)
     problem = Problem(rows, epochs.site, epochs.sd, jnp.full(2, EPOCHS - 1))
     state, _, _ = eqx.filter_jit(begin_search)(figures.applied(model, belief, theta), problem)
     state = scoring.held_noise(state, Layout.of(model), theta)
-    return model, belief, theta, problem, state, model_epochs
+    return model, belief, theta, problem, state
 
 
 def dense_innovations(linear, lane):
@@ -136,7 +138,7 @@ def dense_innovations(linear, lane):
 
 def test_scoring_against_differences(searched):
     """Gradient and expected curvature by innovations and variances at figures a little off, at two step sizes."""
-    model, belief, theta, problem, state, _ = searched
+    model, belief, theta, problem, state = searched
     layout = Layout.of(model)
 
     @jax.jit
@@ -177,7 +179,7 @@ def test_scoring_against_differences(searched):
 
 def test_a_trajectory_goes_on_from_its_window(searched):
     """Beyond the window it has no defects; within it it stays."""
-    _, _, _, problem, state, _ = searched
+    _, _, _, problem, state = searched
     after = jnp.array([4, 10])
     longer = jax.jit(extend)(problem, state, after)
     intervals = jax.jit(mechanize)(problem.rows, problem.site, longer.at, longer.q_n0n, problem.on)
@@ -199,24 +201,51 @@ def test_starts():
     assert Start(False, 0.0) in body
 
 
-@pytest.mark.slow
-def test_a_fit_without_grades():
-    """Figures of a tactical unit are found within their spread, errors are within what is stated, late and early."""
-    log = simulate("dvl-accturn", seed=5)
+def test_what_counts():
+    """Within belief first; if nothing is, all that is finite."""
+    level = jnp.array([[1.0, 3.0, jnp.nan], [1.0, 3.0, 2.0]])
+    found = counted(level, jnp.array([[True, False, True], [False, False, False]]))
+    np.testing.assert_array_equal(found, [[1.0, -np.inf, -np.inf], [1.0, 3.0, 2.0]])
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """A log aligned with figures that are fitted, on the host."""
+    log = simulate("dvl-sturn", seed=5, duration=200.0)
     method = ja.RobustMap(aids=(ja.BodyVelocity(),), calibrate=CALIBRATED)
-    epochs = ja.alignment.epochs_for(method, log)
-    model = model_of(method.aids, CALIBRATED)
-    starts = usual_starts(method.aids)
-    belief = belief_of(model, epochs, len(starts))
-    fit = fit_on_host(model, epochs, belief, starts)
-    assert fit.believable.all()
-    same = np.abs(fit.posterior - fit.posterior[fit.best]) < 10.0
-    assert same.sum() >= 4  # most starts have led there
-    numbers = np.array([60, 150, len(epochs) - 1])
-    found = rows_on_host(model, epochs, belief, fit, numbers)
+    epochs, model = epochs_for(method, log), model_of(method.aids, CALIBRATED)
+    starts, numbers = usual_starts(method.aids), np.array([60, 150, 200])
+    fit = fit_on_host(model, epochs, starts)
+    return log, model, epochs, starts, numbers, fit, rows_on_host(model, fit, numbers)
+
+
+@pytest.mark.slow
+def test_a_fit_without_grades(fitted):
+    """Most starts lead to one solution, whose errors are within what is stated, late and early."""
+    log, model, _, _, numbers, fit, found = fitted
+    assert (np.abs(fit.level - fit.level[fit.best]) < 10.0).sum() >= 4
     phi = ja.rotation.attitude_error(jnp.asarray(found.read.q_nb.T), ja.rotation.quat_from_dcm(log.C_nb[numbers]))
     sd = np.sqrt(np.stack([found.read.tilt[i, i] for i in range(3)], axis=-1))
+    print(np.rad2deg(phi), np.rad2deg(sd), np.exp(np.asarray(fit.fitted.theta)[:, fit.best]))
     assert (np.abs(phi) < 4.0 * sd).all()
     assert np.rad2deg(sd[-1, 2]) < 1.5
-    np.testing.assert_array_equal(fit.fitted.theta >= figures.least_figures(belief, Layout.of(model)), True)
-    assert filled_rows(epochs.rows).dt.shape[1] == 1
+    assert (np.asarray(fit.fitted.theta) >= np.asarray(figures.least_figures(fit.belief, Layout.of(model)))).all()
+
+
+@pytest.mark.slow
+def test_a_fit_inside_traced_code(fitted):
+    """The same as on the host, but for what further steps would change."""
+    _, model, epochs, starts, numbers, fit, found = fitted
+
+    @eqx.filter_jit
+    def traced(model, epochs):
+        whole = fit_traced(model, epochs, starts)
+        return whole, rows_traced(model, epochs, whole, numbers, 12)
+
+    whole, rows = traced(model, epochs)
+    np.testing.assert_allclose(whole.level, fit.level, atol=0.01)
+    np.testing.assert_allclose(whole.fitted.theta[:, whole.best], fit.fitted.theta[:, fit.best], atol=1e-3)
+    sd = np.sqrt(found.read.tilt[2, 2])
+    phi = ja.rotation.attitude_error(rows.read.q_nb.T, jnp.asarray(found.read.q_nb.T))
+    np.testing.assert_array_less(np.abs(phi).max(axis=1), 0.01 * sd)
+    np.testing.assert_allclose(np.sqrt(rows.read.tilt[2, 2]), sd, rtol=0.01)
